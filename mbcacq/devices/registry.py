@@ -2,23 +2,44 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from mbcacq.errors import ConfigError
 
 
+def _registered(kind: str) -> EntryPoints:
+    """The entry points of a kind. To read those of every installed package takes as long as to import a driver, and a run asks often."""
+    return _read(kind, tuple((folder, _changed_ns(folder)) for folder in sys.path))
+
+
+def _changed_ns(folder: str) -> int:
+    try:
+        return os.stat(folder or ".").st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=16)
+def _read(kind: str, folders: tuple[tuple[str, int], ...]) -> EntryPoints:
+    """folders: what is searched, and when a package came or went there."""
+    return entry_points(group=f"mbcacq.{kind}")
+
+
 def available(kind: str) -> dict[str, str]:
     """Names and targets of the registered drivers of a kind: 'robots', 'scanners', 'positioners', 'sensors' or 'fakes'."""
-    return {point.name: point.value for point in entry_points(group=f"mbcacq.{kind}")}
+    return {point.name: point.value for point in _registered(kind)}
 
 
 def load_driver(kind: str, name: str) -> type:
     """The class registered under ``name`` (kuka-eki is kuka_eki), imported only now. Raises ConfigError naming the choices."""
     plain = name.replace("-", "_")
-    points = {point.value: point for point in entry_points(group=f"mbcacq.{kind}") if point.name.replace("-", "_") == plain}
+    points = {point.value: point for point in _registered(kind) if point.name.replace("-", "_") == plain}
     if len(points) > 1:
         raise ConfigError(
             f"driver '{name}' is registered {len(points)} times among the {kind} ({', '.join(sorted(points))}); uninstall "

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, Fle
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 HERE = Path(__file__).parent
 PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
@@ -111,9 +115,10 @@ def render_changes(changes: ChangesContent) -> str:
     return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures)
 
 
-def _template(name: str, **values: Any) -> str:
+@cache
+def _environment() -> Environment:
+    """One for all pages: it keeps the templates that it has compiled."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
 
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -126,9 +131,15 @@ def _template(name: str, **values: Any) -> str:
         "curve_title": curve_title,
         "quantity": quantity,
     }
+    return environment
+
+
+def _template(name: str, **values: Any) -> str:
+    from markupsafe import Markup
+
     scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
     kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
-    return environment.get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
+    return _environment().get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
 
 
 def curve_title(effect: str, location: str) -> str:

@@ -49,7 +49,7 @@ def test_kept_inputs_are_accepted_or_refused(name, capfd):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_changed_input_is_accepted_or_refused(name, data, capfd):
     target = targets()[name]

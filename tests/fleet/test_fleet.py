@@ -103,12 +103,12 @@ def test_what_was_stored_before_an_end_is_not_repeated(how, folder, tmp_path):
     assert len(stored) >= 3
     kept = {Path(json.loads(path.read_text())["row"]["recording"]).name for path in stored}
     waiting = sorted({path.name for path in (tmp_path / "runs").iterdir()} - kept)
-    for name in waiting[5:]:  # five are enough to show that the fleet goes on
+    for name in waiting[2:]:  # two are enough to show that the fleet goes on
         shutil.rmtree(tmp_path / "runs" / name)
-    again = mbcacq_fleet(tmp_path / "runs", "--out", out, "--workers", "2")
+    again = mbcacq_fleet(tmp_path / "runs", "--out", out, "--workers", "1")
     assert again.returncode == 0, again.stderr
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
-    assert [row.status for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:5]))
+    assert [row.status for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:2]))
 
 
 def test_a_worker_keeps_what_is_done_and_gives_back_what_its_time_does_not_allow(folder, tmp_path, monkeypatch):

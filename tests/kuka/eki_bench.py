@@ -2,6 +2,7 @@
 
 import fcntl
 import re
+import select
 import socket
 import struct
 import termios
@@ -74,11 +75,14 @@ class Bench:
         self.ticks(ticks)
 
     def send(self, data):
-        """Returns when the controller's side of the network has it."""
+        """Returns when the controller's side of the network has it, or has closed the connection."""
         self.socket.setblocking(True)
         self.socket.sendall(data)
-        deadline = time.monotonic() + 5.0
+        deadline, closed = time.monotonic() + 5.0, select.poll()
+        closed.register(self.socket, select.POLLRDHUP)
         while struct.unpack("i", fcntl.ioctl(self.socket, termios.TIOCOUTQ, bytes(4)))[0] and time.monotonic() < deadline:
+            if closed.poll(0):
+                return
             time.sleep(1e-4)
 
     def hear(self):

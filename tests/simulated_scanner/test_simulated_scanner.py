@@ -74,7 +74,7 @@ def test_what_the_fake_section_says_wins(tmp_path):
 
 def test_a_scanner_whose_frame_is_in_its_camera_is_aimed_by_the_middle_of_its_view(tmp_path):
     away = {"rotation": [[0, -1, 0], [-1, 0, 0], [0, 0, -1]], "translation_mm": [0, 0, -180]}
-    path = plan_with(tmp_path, {"field_of_view": IN_CAMERA, "noise_mm": [0.01, 0.01, 0.02]}, hand_eye=away)
+    path = plan_with(tmp_path, {"field_of_view": IN_CAMERA, "noise_mm": [0.01, 0.01, 0.02]}, hand_eye=away, exposures=1)
     _, run, poses = scatter(path, tmp_path / "a")
     assert [p.xyz[:, 2].mean() for p in poses] == pytest.approx([-452] * 3, abs=8)
     assert mbcacq.load_observations(run.folder).n_poses == 3
@@ -82,10 +82,10 @@ def test_a_scanner_whose_frame_is_in_its_camera_is_aimed_by_the_middle_of_its_vi
 
 def test_an_exposure_takes_the_plan_s_scan_time_on_the_simulated_clock(tmp_path):
     def duration(scan_time_s):
-        *_, poses = scatter(plan_with(tmp_path, {"scan_time_s": scan_time_s}), tmp_path / f"{scan_time_s}")
+        *_, poses = scatter(plan_with(tmp_path, {"scan_time_s": scan_time_s}, exposures=2), tmp_path / f"{scan_time_s}")
         return poses[2].robot_time_s - poses[0].robot_time_s
 
-    assert duration(5.0) - duration(0.0) == pytest.approx(2 * 4 * 5.0, abs=0.2)
+    assert duration(5.0) - duration(0.0) == pytest.approx(2 * 2 * 5.0, abs=0.2)
 
 
 def test_points_lie_as_far_apart_as_the_plan_says(tmp_path):
@@ -125,5 +125,5 @@ def test_fakes_of_a_scanner_without_one_point_to_the_dry_run(tmp_path):
 
 
 def test_a_positioner_of_another_driver_is_a_person_in_a_dry_run(tmp_path):
-    path = plan_with(tmp_path, {}, positioner={"driver": "turntable", "options": {"address": "10.0.0.3"}})
+    path = plan_with(tmp_path, {}, positioner={"driver": "turntable", "options": {"address": "10.0.0.3"}}, exposures=1)
     assert mbcacq.load_observations(mbcacq.run(path, dry_run=True, out=tmp_path / "run").folder).n_poses == 3

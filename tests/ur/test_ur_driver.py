@@ -66,9 +66,11 @@ def test_packages_are_the_guide_s_bytes():
         ({"speed_fraction": 0.0}, "has its speed slider at 0 %"),
     ],
 )
-def test_a_controller_that_is_not_ready_says_why(controller, state, sentence):
-    controller.inject(**state)
-    with pytest.raises(ConnectError, match=sentence):
+def test_a_controller_that_is_not_ready_says_why(state, sentence):
+    with (
+        FakeUrController(start_deg=HOME_DEG, realtime=True, **state) as controller,  # in lock-step it would send thousands of packages
+        pytest.raises(ConnectError, match=sentence),
+    ):
         arm(controller).connect()
 
 

@@ -56,6 +56,7 @@ def test_temperatures_and_a_motorised_stand_reach_the_observation_set(tmp_path, 
         plan["positioner"], plan["sensors"] = positioner, PROBES
         plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
         plan["steps"] = [plan["steps"][1] | {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}]
+        plan["exposures"] = 1
         plan["fake"] = {"climate": {"time_scale": 200.0}}
 
     run = tmp_path / "run"

@@ -5,7 +5,7 @@ import sys
 import textwrap
 
 import pytest
-from typed_command import MBCACQ, ROOT, mbcacq
+from typed_command import MBCACQ, ROOT, mbcacq, plan_file
 
 CAN_MOUNT = (
     sys.platform == "linux"
@@ -18,15 +18,16 @@ CAN_MOUNT = (
 @pytest.mark.skipif(not CAN_MOUNT, reason="needs a file system of its own (user namespaces)")
 def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(tmp_path):
     """A disk of 320 MiB, of which hardly anything is left after the first pose; freed, the run is resumed on it and then copied out."""
+    plan = plan_file(tmp_path, lambda plan: plan.update(exposures=1))
     script = textwrap.dedent(f"""
         mkdir {tmp_path}/disk && mount -t tmpfs -o size=320m none {tmp_path}/disk && cd {ROOT}
-        ({MBCACQ} run plans/quick.yaml --dry-run --out {tmp_path}/disk/run 2> {tmp_path}/first; echo $? > {tmp_path}/code) &
+        ({MBCACQ} run {plan} --dry-run --out {tmp_path}/disk/run 2> {tmp_path}/first; echo $? > {tmp_path}/code) &
         until grep -q pose_done {tmp_path}/disk/run/journal.jsonl 2>/dev/null || test -e {tmp_path}/code; do sleep 0.02; done
         mount -o remount,size=$(( $(df -k --output=used {tmp_path}/disk | tail -1) + 512 ))k {tmp_path}/disk
         wait
         cp -r {tmp_path}/disk/run {tmp_path}/full
         mount -o remount,size=320m {tmp_path}/disk
-        {MBCACQ} run plans/quick.yaml --dry-run --resume {tmp_path}/disk/run > /dev/null 2> {tmp_path}/second; echo $? > {tmp_path}/again
+        {MBCACQ} run {plan} --dry-run --resume {tmp_path}/disk/run > /dev/null 2> {tmp_path}/second; echo $? > {tmp_path}/again
         cp -r {tmp_path}/disk/run {tmp_path}/run
     """)
     subprocess.run(["unshare", "-Urm", "sh", "-c", script], timeout=900, capture_output=True)

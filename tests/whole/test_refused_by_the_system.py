@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
-from typed_command import plan_file
+from typed_command import few_views, plan_file
 
 from mbcacq.cli.app import refused_by_the_system
 
@@ -36,7 +36,7 @@ def test_two_gigabytes_of_addresses_and_64_files_are_enough_for_a_run_to_its_rep
         resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
-    plan = plan_file(tmp_path, lambda plan: plan.update(exposures=1))
+    plan = plan_file(tmp_path, few_views)
     done = subprocess.run(
         [MBCACQ, "run", plan, "--dry-run", "--out", tmp_path / "run"], cwd=ROOT, capture_output=True, text=True, preexec_fn=little
     )

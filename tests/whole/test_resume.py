@@ -19,13 +19,14 @@ from mbcacq.recording import load_observations
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.run_folder.gaps import find_gaps
-from mbcacq.recording.run_folder.progress import poses_done
+from mbcacq.recording.run_folder.progress import poses_done, repair_and_read_progress
 
 
 def two_stations(plan):
     plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
     plan["steps"][0]["offsets_mm"] = [[10, 0, 0]]
     plan["steps"][1] |= {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}
+    plan["exposures"] = 1
     still = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}  # a mean over another number of cycles is the same
     plan["fake"] = {"draws": "pose", "robot": still}
     plan["robot"]["model"] = "robot.yaml"
@@ -52,9 +53,9 @@ def shared_memory_of(pid):
 
 
 def killed_after(plan, run, poses, then_s=0.0):
-    """Start a run and kill it with all its children. Returns the names in shared memory that it used."""
+    """Start a run, or go on with it, and kill it with all its children. Returns the names in shared memory that it used."""
     process = subprocess.Popen(
-        [MBCACQ, "run", plan, "--dry-run", "--out", run],
+        [MBCACQ, "run", plan, "--dry-run", "--resume" if run.exists() else "--out", run],
         cwd=ROOT,
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -80,12 +81,14 @@ def equal(run, whole):
     np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)  # the mean over another number of equal cycles
 
 
-@pytest.mark.parametrize(("poses", "then_s"), [(0, 0.0), (2, 0.07), (4, 0.13)])
-def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, poses, then_s):
+@pytest.mark.parametrize("kills", [((2, 0.07),), ((0, 0.0), (4, 0.13))], ids=["once", "twice"])
+def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, kills):
+    """Once after two poses; and before the first, resumed, and again after four."""
     plan, whole = undisturbed
     run = tmp_path / "run"
-    killed_after(plan, run, poses, then_s)
-    if poses == 4:  # a recovery in between changes nothing
+    for poses, then_s in kills:
+        killed_after(plan, run, poses, then_s)
+    if len(kills) > 1:  # a recovery in between changes nothing
         assert mbcacq("recover", run).returncode == 0
         assert load_observations(run).n_poses >= poses
         assert poses <= len(poses_done(run)) < 7
@@ -94,15 +97,13 @@ def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, po
     assert resumed.returncode == 0, resumed.stderr
     equal(run, whole)
     gaps = json.loads(resumed.stdout)["gaps"]
-    if poses:  # else it had not begun
-        assert len(gaps) == 1
-        assert "interrupted" in gaps[0]
-        assert "killed" in gaps[0]
+    assert 1 <= len(gaps) <= len(kills)  # the first kill may have come before there was anything to interrupt
+    assert all("interrupted" in gap and "killed" in gap for gap in gaps)
     if len(layout.parts(run)) > 1:  # the parts are one recording, and one recording id
         merged = run / "whole.rrd"
         assert sorted({int(row["pose"][0]) for row in Recording(merged).observed()}) == list(range(7))
         assert len({Recording(path).recording_id for path in (*layout.parts(run), merged)}) == 1
-    if poses == 2:
+    if len(kills) == 1:
         again = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
         assert again.returncode == 0
         assert "nothing moves" in again.stderr
@@ -115,22 +116,36 @@ def test_a_run_killed_with_its_children_leaves_nothing_in_shared_memory(undistur
     assert not used & set(os.listdir("/dev/shm"))
 
 
-def test_a_recording_torn_at_any_byte_is_no_obstacle(undisturbed, tmp_path):
+def torn(whole, run, keep):
+    """A run whose recording has the first bytes of another's, and whose journal is ahead of it, and torn itself."""
+    run.mkdir()
+    for name in ("plan.yaml", "plan.files.json"):
+        (run / name).write_text((whole / name).read_text())
+    (run / "run.rrd").write_bytes((whole / "run.rrd").read_bytes()[:keep])
+    journal = (whole / "journal.jsonl").read_text().splitlines(keepends=True)
+    (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])
+    return run
+
+
+def test_a_recording_torn_in_the_middle_is_no_obstacle(undisturbed, tmp_path):
     plan, whole = undisturbed
     data = (whole / "run.rrd").read_bytes()
-    journal = (whole / "journal.jsonl").read_text().splitlines(keepends=True)
-    for keep in (7, len(data) // 2):
-        run = tmp_path / str(keep)
-        run.mkdir()
-        for name in ("plan.yaml", "plan.files.json"):
-            (run / name).write_text((whole / name).read_text())
-        (run / "run.rrd").write_bytes(data[:keep])
-        (run / "journal.jsonl").write_text("".join(journal[:6]) + journal[6][:20])  # ahead of the recording, and torn itself
-        resumed = mbcacq("run", plan, "--dry-run", "--resume", run)
-        assert resumed.returncode == 0, resumed.stderr
-        assert ("was torn" if keep > 7 else "no pose can be read in run.rrd") in resumed.stderr
-        equal(run, whole)
-        assert [p for p in run.iterdir() if p.read_bytes()[:keep] == data[:keep]]  # the torn file is still there
+    run = torn(whole, tmp_path / "run", len(data) // 2)
+    resumed = mbcacq("run", plan, "--dry-run", "--resume", run)
+    assert resumed.returncode == 0, resumed.stderr
+    assert "was torn" in resumed.stderr
+    equal(run, whole)
+    assert [p for p in run.iterdir() if p.read_bytes()[: len(data) // 2] == data[: len(data) // 2]]  # the torn file is still there
+
+
+def test_a_recording_torn_in_its_first_bytes_is_set_aside_and_its_poses_are_measured_again(undisturbed, tmp_path):
+    _, whole = undisturbed
+    run = torn(whole, tmp_path / "run", 7)
+    progress = repair_and_read_progress(run)
+    assert progress.done == frozenset()
+    (said,) = progress.repairs
+    assert "no pose can be read in run.rrd" in said
+    assert [p for p in run.iterdir() if p.read_bytes() == (whole / "run.rrd").read_bytes()[:7]]
 
 
 @pytest.mark.parametrize(

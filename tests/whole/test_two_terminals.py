@@ -18,6 +18,8 @@ def plan(tmp_path):
         second = {"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [600, 60, 150]}}
         plan["stations"].append(second)
         plan["steps"][1]["stations"] = ["p2"]
+        plan["exposures"] = 1
+        plan["steps"][1]["views"] = plan["steps"][1]["views"][:3]
 
     return plan_file(tmp_path, change)
 

@@ -2,21 +2,17 @@
 
 import subprocess
 
-from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, until
+from typed_command import MBCACQ, ROOT, few_views, mbcacq, one_sentence, plan_file, until
 
 
 def test_a_run_that_goes_on_cannot_be_resumed_by_another_process(tmp_path):
-    run = tmp_path / "run"
+    plan, run = plan_file(tmp_path, few_views), tmp_path / "run"
     first = subprocess.Popen(
-        [MBCACQ, "run", "plans/quick.yaml", "--dry-run", "--out", run],
-        cwd=ROOT,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
+        [MBCACQ, "run", plan, "--dry-run", "--out", run], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and "pose_done" in journal.read_text())
-    for command in (["run", "plans/quick.yaml", "--dry-run", "--resume", run], ["recover", run], ["report", run]):
+    for command in (["run", plan, "--dry-run", "--resume", run], ["recover", run], ["report", run]):
         second = mbcacq(*command)
         assert second.returncode == 6, second.stderr
         assert f"process {first.pid}" in one_sentence(second)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -15,6 +15,7 @@ from mbcacq.plan import PlannedPose
 OUTLIER_MM = 2.0  # from here on a ball counts less: a nominal arm misses by about as much
 STATION_MM, STATION_RAD = 30.0, 0.15  # standard deviation of a placement
 ROUNDS = 60
+STEP = np.sqrt(np.finfo(float).eps)  # of a difference, mm and rad
 
 
 class PlacementFit:
@@ -63,22 +64,51 @@ class PlacementFit:
             return np.inf
         paired = {self.poses[p].station for _, p in pairs}
         names = [name for name in self.stations if name in paired]
-        rows = np.concatenate([np.full(len(c.ball), p) for c, p in pairs])
-        columns = np.concatenate([[self._column[b] for b in c.ball.tolist()] for c, _ in pairs]).astype(int)
-        xyz = np.concatenate([c.xyz for c, _ in pairs])
-        start_hand_eye, start = self.T_flange_scanner, dict(self.stations)
-
-        def placed(state: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-            twists = state.reshape(-1, 6)
-            return start_hand_eye @ se3.exp(twists[0]), {s: start[s] @ se3.exp(t) for s, t in zip(names, twists[1:], strict=True)}
-
-        def miss(state: np.ndarray) -> np.ndarray:
-            away = self.predicted(*placed(state))[rows, columns] - xyz
-            prior = OUTLIER_MM * state.reshape(-1, 6) / np.repeat([STATION_MM, STATION_RAD], 3)
-            return np.concatenate([np.nan_to_num(away, nan=0.0).ravel(), prior.ravel()])
-
-        found = least_squares(miss, np.zeros(6 * (1 + len(names))), loss="soft_l1", f_scale=OUTLIER_MM, max_nfev=ROUNDS, x_scale="jac")
-        self.T_flange_scanner, learnt = placed(found.x)
-        self.stations |= learnt
+        misses = self._misses(names, pairs)
+        found = least_squares(
+            lambda state: misses(state[None])[0],
+            np.zeros(6 * (1 + len(names))),
+            jac=lambda state: _derivatives(misses, state),  # pyright: ignore[reportArgumentType]  # a function is allowed
+            loss="soft_l1",
+            f_scale=OUTLIER_MM,
+            max_nfev=ROUNDS,
+            x_scale="jac",
+        )
+        moves = se3.exp(found.x.reshape(-1, 6))
+        self.T_flange_scanner = self.T_flange_scanner @ moves[0]
+        self.stations |= {name: self.stations[name] @ move for name, move in zip(names, moves[1:], strict=True)}
         each = self.distances([c for c, _ in pairs])[np.arange(len(pairs)), [p for _, p in pairs]]
         return float(np.median(each))
+
+    def _misses(self, names: Sequence[str], pairs: Sequence[tuple[FoundCloud, int]]) -> Callable[[np.ndarray], np.ndarray]:
+        """What (S, 6 (1 + number of names)) twists of the scanner and of the stations of these names, S at once, leave: (S, M) mm, away from
+        the balls of the clouds and from where all began."""
+        place = np.array([names.index(self.poses[p].station) for _, p in pairs])
+        flange, stations = self._flange[[p for _, p in pairs]], np.array([self.stations[name] for name in names])
+        hand_eye, of_pair, centres, xyz = self.T_flange_scanner, list[int](), list[np.ndarray](), list[np.ndarray]()
+        for k, (cloud, pose) in enumerate(pairs):
+            artefact = self.cell.artefact(self.cell.station(self.poses[pose].station).artefact)
+            centre = dict(zip(artefact.ball_ids, artefact.centres, strict=True))
+            for ball, seen in zip(cloud.ball.tolist(), cloud.xyz, strict=True):
+                if ball in centre:  # else it is of another artefact than stands there
+                    of_pair.append(k)
+                    centres.append(centre[ball])
+                    xyz.append(seen)
+        expected, measured = np.reshape(centres, (-1, 3)), np.reshape(xyz, (-1, 3))
+
+        def misses(states: np.ndarray) -> np.ndarray:
+            twists = states.reshape(len(states), -1, 6)
+            moves = se3.exp(twists)
+            T_scanner_artefact = se3.inverse(flange @ (hand_eye @ moves[:, 0])[:, None]) @ (stations @ moves[:, 1:])[:, place]
+            away = se3.apply(T_scanner_artefact[:, of_pair], expected) - measured
+            prior = OUTLIER_MM * twists / np.repeat([STATION_MM, STATION_RAD], 3)
+            return np.concatenate([away.reshape(len(states), -1), prior.reshape(len(states), -1)], axis=1)
+
+        return misses
+
+
+def _derivatives(misses: Callable[[np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray:
+    """(M, n) by differences, all of them at once."""
+    steps = STEP * np.maximum(1.0, np.abs(state)) * np.where(state < 0, -1.0, 1.0)
+    at = misses(np.vstack([state, state + np.diag(steps)]))
+    return ((at[1:] - at[0]) / steps[:, None]).T

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 
 def shift_difference(signal: np.ndarray, step_s: float, delay_s: float) -> np.ndarray:
@@ -11,5 +10,7 @@ def shift_difference(signal: np.ndarray, step_s: float, delay_s: float) -> np.nd
     mismatch. Beyond the ends the signal keeps its last value."""
     if delay_s == 0.0:
         return np.zeros(len(signal))
+    from scipy.interpolate import CubicSpline  # takes long to import, and a report of poses comes by here
+
     time = step_s * np.arange(len(signal))
     return CubicSpline(time, signal)(np.clip(time + delay_s, 0.0, time[-1])) - signal

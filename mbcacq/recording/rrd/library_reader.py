@@ -21,15 +21,18 @@ class LibraryReader:
 
     The library ends the whole process at some damaged files (it aborts in its Arrow buffers). Only a file that is known to be undamaged may
     be read in a process that must live on. Raises RecordingError.
+
+    It calls what ``rerun.chunk.RrdReader`` calls: importing that imports all of rerun, which takes longer than reading a run.
     """
 
     def __init__(self, path: Path) -> None:
-        from rerun.chunk import RrdReader
+        from rerun_bindings import RrdReaderInternal
 
         self.path = path
         with _named_errors(path):
-            self._reader = RrdReader(rerun_path(path))
-            stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
+            self._reader = RrdReaderInternal(rerun_path(path))
+            recordings = [store for store in self._reader.store_entries() if store.kind == "recording"]
+            stores = [store for store in recordings if store.application_id == layout.APPLICATION]
         if not stores:
             raise RecordingError(f"{path} {NOT_OURS}: it was torn before anything was written, or another program wrote it")
         self._store = stores[0]
@@ -47,7 +50,7 @@ class LibraryReader:
         chunks = iter(())
         with _named_errors(self.path):
             stream = self._indexed.stream() if self._indexed is not None else self._reader.stream(store=self._store)
-            chunks = iter(stream.filter(content=f"/{entities}"))
+            chunks = iter(stream.filter(content=[f"/{entities}"]))
         while True:
             with _named_errors(self.path):
                 chunk = next(chunks, None)

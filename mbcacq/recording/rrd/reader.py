@@ -159,7 +159,8 @@ def open_recordings(path: Path | str) -> list[Recording]:
 @contextmanager
 def opened_once() -> Iterator[None]:
     """Inside, a file that has not changed is opened once, whoever asks for it: opening reads its whole index."""
-    token = _OPEN.set({})
+    known = _OPEN.get()
+    token = _OPEN.set({} if known is None else known)
     try:
         yield
     finally:

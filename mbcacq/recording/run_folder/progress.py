@@ -38,10 +38,13 @@ def poses_done(folder: Path | str) -> frozenset[int]:
 def repair_and_read_progress(folder: Path | str) -> Progress:
     """Make every recording of an interrupted run readable and return what they hold. Nothing is deleted: a torn recording stays next to
     its recovered copy, one without content gets another name. Raises RecordingError where the disk does not take the copy."""
+    from mbcacq.recording.rrd.reader import opened_once
+
     folder = Path(folder)
-    repairs = tuple(_repair(folder))
-    _keep_identity(folder)
-    measured = _measured(folder) if (folder / layout.JOURNAL_FILE).exists() else {}
+    with opened_once():
+        repairs = tuple(_repair(folder))
+        _keep_identity(folder)
+        measured = _measured(folder) if (folder / layout.JOURNAL_FILE).exists() else {}
     stations: dict[str, tuple[int, ...]] = {}
     for number, station in sorted(measured.items()):
         stations[station] = (*stations.get(station, ()), number)
@@ -84,11 +87,11 @@ def _repair(folder: Path) -> Iterator[str]:
 
 def _keep_identity(folder: Path) -> None:
     """All parts carry one recording id; where the note of it was lost, it is taken from the first part."""
-    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.reader import opened
     from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 
     parts = layout.parts(folder)
     if parts and read_run_header(folder) is None:
-        first = Recording(parts[0])
+        first = opened(parts[0])
         about = first.about()
         write_run_header(folder, RunHeader(first.recording_id, str(about["started"]), str(about["name"])))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import publish
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_made, read_stretches
-from mbcacq.recording.rrd.reader import Recording, opened
+from mbcacq.recording.rrd.reader import Recording, opened, opened_once
 from mbcacq.recording.run_folder.lock import LOCK_FILE, write_lock
 
 WHOLE = "whole.rrd"
@@ -54,6 +55,11 @@ def recover(path: Path | str) -> list[Recovered]:
 
 def make_readable(path: Path) -> list[Recovered]:
     """``recover`` for one who holds the lock of the run folder."""
+    with opened_once():
+        return _made_readable(path)
+
+
+def _made_readable(path: Path) -> list[Recovered]:
     if path.is_dir():
         sources = layout.originals(path)
         if not sources:
@@ -120,7 +126,7 @@ def _merge(sources: list[Path], output: Path) -> None:
         result = rerun_program.run(["rrd", "merge", "--continue-on-error", *map(str, sources), "-o", str(partial)])
         if result.returncode or not partial.exists():
             raise NothingRecovered(f"{_nothing(sources)}: rerun could not read it ({rerun_program.error_line(result)})")
-        if not _verified(partial):
+        if not _verified(partial, Recording):  # closed again: Windows renames no open file
             raise NothingRecovered(f"{_nothing(sources)}: no complete message is left in it")
         note_made(partial, output)
         publish(partial, output)
@@ -136,12 +142,12 @@ def _nothing(sources: list[Path]) -> str:
     return f"nothing could be recovered from {', '.join(map(str, sources))}"
 
 
-def _verified(path: Path) -> bool:
+def _verified(path: Path, open_recording: Callable[[Path], Recording] = opened) -> bool:
     """Whether rerun's own check finds no fault, and our reader all that there is to read."""
     if rerun_program.run(["rrd", "verify", str(path)]).returncode:
         return False
     try:
-        recording = Recording(path)
+        recording = open_recording(path)
         for read in (recording.about, recording.observed, recording.cycles):
             read()
     except RecordingError:

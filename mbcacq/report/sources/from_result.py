@@ -21,8 +21,6 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, capitalised, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
-from mbcacq.report.sources.from_diagnosis import diagnosis_content
-from mbcacq.report.sources.from_motion import kept_motion_content
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
     SUSPICIOUS,
@@ -72,6 +70,9 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     document, pictures, name = run_info.get("diagnosis"), run_info.get("pictures"), str(run_info.get("folder") or "RUN")
     diagnosis = None if document is None else Diagnosis.from_json(document)
     if diagnosis is not None and document is not None:
+        from mbcacq.report.sources.from_diagnosis import diagnosis_content  # a run without a diagnosis does not wait for these imports
+        from mbcacq.report.sources.from_motion import kept_motion_content
+
         tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
         found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
         found["motion"] = kept_motion_content(document, pictures)

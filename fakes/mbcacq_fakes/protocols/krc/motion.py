@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import sqrt
+from math import cos, radians, sin, sqrt
 
 import numpy as np
 
@@ -20,9 +20,16 @@ class Unreachable(Exception):
 
 def frame(values: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
-    a, b, c = np.radians(values[3:6])
-    axes = np.eye(3)
-    return rigid(rotation_about(axes[2], a) @ rotation_about(axes[1], b) @ rotation_about(axes[0], c), np.asarray(values[:3], dtype=float))
+    x, y, z, *turned = map(float, values)
+    (sa, ca), (sb, cb), (sc, cc) = [(sin(angle), cos(angle)) for angle in map(radians, turned)]
+    return np.array(
+        [
+            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc, x],
+            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc, y],
+            [-sb, cb * sc, cb * cc, z],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def angles(T: np.ndarray) -> tuple[float, ...]:
