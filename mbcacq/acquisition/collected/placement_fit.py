@@ -81,8 +81,9 @@ class PlacementFit:
         return float(np.median(each))
 
     def _misses(self, names: Sequence[str], pairs: Sequence[tuple[FoundCloud, int]]) -> Callable[[np.ndarray], np.ndarray]:
-        """What (S, 6 (1 + number of names)) twists of the scanner and of the stations of these names, S at once, leave: (S, M) mm, away from
-        the balls of the clouds and from where all began."""
+        """What (S, 6 (1 + number of names)) twists of the scanner and of the stations of these names, S at once, leave: (S, M) mm, away
+        from the balls of the clouds and from where all began.
+        """
         place = np.array([names.index(self.poses[p].station) for _, p in pairs])
         flange, stations = self._flange[[p for _, p in pairs]], np.array([self.stations[name] for name in names])
         hand_eye, of_pair, centres, xyz = self.T_flange_scanner, list[int](), list[np.ndarray](), list[np.ndarray]()
