@@ -18,8 +18,7 @@ def measured(plan, seed, offset_mm, time_constant_s):
     return away, (constant.value - time_constant_s) / constant.std, constant.std
 
 
-@pytest.mark.parametrize("seed", [503, 505])
-@pytest.mark.parametrize("lengths", [1.0, 3.0])
+@pytest.mark.parametrize(("seed", "lengths"), [(503, 3.0), (505, 1.0)])
 def test_a_slow_warm_up_is_stated_as_uncertain_as_it_is(large_plan, seed, lengths):
     duration = np.ptp(large_plan.time_s)
     offset, constant, std = measured(large_plan, seed, [0.03 * lengths, 0.0, 0.06 * lengths], lengths * duration)
