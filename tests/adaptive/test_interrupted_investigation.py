@@ -29,7 +29,8 @@ def keep_as_killed(folder: Path, kept: Path, poses: int):
 
 
 def test_killed_in_a_visit_and_resumed_it_decides_and_measures_the_same(tmp_path: Path):
-    plan = simulated_plan(tmp_path, "concealed.yaml")
+    one = {"name": "joint_compliance", "where": "A2", "compliance_rad_per_Nm": 2e-6}  # of four that the plan conceals: weighed sooner
+    plan = simulated_plan(tmp_path, "concealed.yaml", fake={"draws": "pose", "pitch_mm": 1.0, "hidden": [one]})
     operator = mbcacq.Operator(subscribers=(keep_as_killed(tmp_path / "whole", tmp_path / "killed", 24 + 3),))
     undisturbed = list(mbcacq.investigate(plan, BUDGET, out=tmp_path / "whole", dry_run=True, operator=operator))
     assert [d.poses for d in undisturbed] == [24, 30]

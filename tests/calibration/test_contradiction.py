@@ -184,7 +184,7 @@ def test_one_wrong_pose_that_was_rejected_needs_no_warning():
     assert "warnings" not in found.extra
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_elastic_arm_is_no_accident(seed):
     """Errors that depend on posture are learnt, and nothing is said to have changed at a moment."""
     cell = scanner_cell(np.random.default_rng(seed), stations=6, per_station=12)

@@ -158,7 +158,7 @@ def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
     """Nearly centred artefact (3 mm): distances share centres, scans and joints. The bars' errors are nearly one
     number a draw, so that the rms of error over sigma is 1 within 3 / sqrt(2 draws)."""
     rng = np.random.default_rng(44)
-    cell = scanner_cell(rng, stations=8, per_station=8, bars=4, preliminary=True, tilt_deg=25)
+    cell = scanner_cell(rng, stations=8, per_station=6, bars=4, preliminary=True, tilt_deg=25)
     ends = cell.observations.select(cell.observations.phase == "verification")
     used = cell.observations.select(cell.observations.phase != "verification")
     exact = measure(ends, cell.truth, rng, (0, 0, 0), 0)

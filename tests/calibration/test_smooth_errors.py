@@ -15,6 +15,8 @@ from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.effects import discrepancy
 from mbcacq.estimation import forward_model
+from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.random_links import with_random_links
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
 
@@ -119,10 +121,14 @@ def test_errors_that_neighbouring_poses_share_are_no_functions_of_posture_and_co
 def test_what_wanders_is_not_sought_where_its_functions_are_too_few_for_the_poses(monkeypatch):
     """Sixty cosines over thousands of poses show nothing that neighbours share: what is left of it stays noise."""
     whole, _ = shared_by_neighbours(0.95, 8e-5, 0)
-    obs = whole.select(np.arange(whole.n_poses) < 48)
-    assert "wander_rad" in calibrate(obs, CalibrationOptions(refuse=False)).extra["discrepancy"]
+    obs, options = whole.select(np.arange(whole.n_poses) < 48), CalibrationOptions(refuse=False)
+    alone = with_random_links(adjust_recording(obs, options, links_follow=True))
+    found = with_discrepancy.with_discrepancy(obs, options, alone)
+    assert found is not None
+    assert found.wander_rad is not None
     monkeypatch.setattr(discrepancy, "OPTIONS", replace(discrepancy.OPTIONS, wander_poses=obs.n_poses - 1))
-    assert "wander_rad" not in calibrate(obs, CalibrationOptions(refuse=False)).extra.get("discrepancy", {})
+    found = with_discrepancy.with_discrepancy(obs, options, alone)
+    assert found is None or found.wander_rad is None
 
 
 def test_independent_errors_do_not_wander():

@@ -10,6 +10,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def plan():
+    """66 poses at seven places of an artefact and four of a bar: as few as show what most tests of this folder state."""
+    import simulated
+
+    return simulated.plan(7, 4, 6)
+
+
+@pytest.fixture(scope="session")
+def large_plan():
+    """120 poses, for effects that are weaker and for what a time or a travel must be long for."""
     import simulated
 
     return simulated.plan()

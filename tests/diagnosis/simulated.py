@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def joints(arm: RobotModel, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, n
     return q, there & np.all((q > arm.limits[:, 0]) & (q < arm.limits[:, 1]), axis=1)
 
 
-@lru_cache(maxsize=4)
+@cache
 def plan(stations: int = 9, bars: int = 6, each: int = 8, seed: int = 7) -> Observations:
     """A plan that makes every effect observable: stations over a wide range of postures, several tilts and rolls each, and a long bar seen end by end.
 

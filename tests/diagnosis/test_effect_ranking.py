@@ -27,15 +27,15 @@ def test_number_of_independent_moments_gives_the_false_alarm_rate(plan, k, level
     assert 0.25 * level < rate < 1.3 * level
 
 
-def test_a_mount_shift_is_not_reported_as_scanner_warmup(plan):
+def test_a_mount_shift_is_not_reported_as_scanner_warmup(large_plan):
     """Both change slowly with time; of six components, one step explains more than three that fade."""
-    observed = simulated.observe(plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
+    observed = simulated.observe(large_plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
 
     assert model_fit.fit_model(model_fit.prepare(observed)).model.names == ("mount_shift",)
 
 
-def test_a_shifted_ball_is_reported_as_a_parametric_effect(plan):
-    observed = simulated.observe(plan, 132, [("ball_shift", ("ball3",), [0.006, -0.003, 0.0045], None)])
+def test_a_shifted_ball_is_reported_as_a_parametric_effect(large_plan):
+    observed = simulated.observe(large_plan, 132, [("ball_shift", ("ball3",), [0.006, -0.003, 0.0045], None)])
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
@@ -107,9 +107,9 @@ def test_a_moment_among_poses_left_out_does_not_count_against_a_step(plan):
     assert reported.verdict == "explained"
 
 
-def test_rejected_centres_that_an_effect_explains_are_readmitted(plan):
+def test_rejected_centres_that_an_effect_explains_are_readmitted(large_plan):
     """A wrist encoder that jumps by a degree near the end: four centres far from its axis look like accidents."""
-    setup = model_fit.prepare(simulated.observe(plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
+    setup = model_fit.prepare(simulated.observe(large_plan, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
 
     found = model_fit.fit_model(setup)
     rejected = ~found.geometry_only.linear.keep

@@ -202,8 +202,8 @@ def moved_to(plan, seed, size):
 
 
 @pytest.fixture(scope="module")
-def after_movements(plan):
-    obs, ahead = moved_to(plan, 8, 3e-4)
+def after_movements(large_plan):
+    obs, ahead = moved_to(large_plan, 8, 3e-4)
     here = Covariates(obs)
     wanted = tuple(unmodelled.group(here, f"A{i}", f"movement_{i}") for i in (2, 4))
     return calibrate_with_effects(obs, OPTIONS, EffectModel(obs.cell.robot, wanted, LearntRecording.of(obs))), obs, ahead
@@ -218,9 +218,9 @@ def test_what_a_movement_leaves_behind_is_found_by_its_length(after_movements):
         assert not np.any(found.effects.displacements(other).joint)
 
 
-def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(plan, after_movements):
+def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(large_plan, after_movements):
     found = after_movements[0]
-    other, _ = moved_to(plan, 8, -3e-4)  # of the same size, at another speed with the other sign
+    other, _ = moved_to(large_plan, 8, -3e-4)  # of the same size, at another speed with the other sign
     other = replace(other, pose_id=other.pose_id + 1000)
     stated = check_transfer(other, found).normalised_error.rms
     silent = check_transfer(other, replace(found, effects=found.effects.select(lambda t: False))).normalised_error.rms
@@ -229,9 +229,9 @@ def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(pl
 
 
 @pytest.mark.parametrize("ahead", [0.0, -3e-4])
-def test_what_movements_leave_behind_on_another_day_is_predicted_there_by_other_parts_of_it(plan, after_movements, ahead):
+def test_what_movements_leave_behind_on_another_day_is_predicted_there_by_other_parts_of_it(large_plan, after_movements, ahead):
     found = after_movements[0]
-    other, _ = moved_to(plan, 8, ahead)
+    other, _ = moved_to(large_plan, 8, ahead)
     other = replace(other, pose_id=other.pose_id + 1000)
     left = check_transfer(other, found).parts_left_out
     assert 0.8 < left.drawn_anew.chi2_dof < 1.3
@@ -239,9 +239,9 @@ def test_what_movements_leave_behind_on_another_day_is_predicted_there_by_other_
     assert ratio < 0.5 if ahead else 0.97 < ratio < 1.03  # of what does not happen there nothing is gained
 
 
-def test_an_arm_that_was_learnt_wrongly_is_not_excused_by_what_differs(plan, after_movements):
+def test_an_arm_that_was_learnt_wrongly_is_not_excused_by_what_differs(large_plan, after_movements):
     found = after_movements[0]
-    other, _ = moved_to(plan, 8, -3e-4)
+    other, _ = moved_to(large_plan, 8, -3e-4)
     chain = found.state.chain
     bent = replace(found, state=replace(found.state, chain=replace(chain, a=chain.a + np.array([0, 1.0, 0, 0, 0, 0]))))
     tried = check_transfer(replace(other, pose_id=other.pose_id + 1000), bent)

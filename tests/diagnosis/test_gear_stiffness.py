@@ -35,9 +35,9 @@ def gearbox(breakpoints, stiffness):
 
 
 @pytest.mark.parametrize("branches", [2, 3])
-def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
+def test_as_many_branches_are_found_as_the_gearbox_has(large_plan, branches):
     stiffness = STIFFNESS[-branches:]
-    found = diagnosed(simulated.observe(plan, 140, [gearbox(BREAKPOINTS[-(branches - 1) :], stiffness)]))
+    found = diagnosed(simulated.observe(large_plan, 140, [gearbox(BREAKPOINTS[-(branches - 1) :], stiffness)]))
     stated = parameters_of_branches(found, "lost_motion", "A3")
 
     assert set(found.model.names) == {"joint_compliance", "lost_motion"}

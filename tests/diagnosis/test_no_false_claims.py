@@ -113,8 +113,8 @@ def cubic_lens(context):
     return Displacements(point=point)
 
 
-def test_an_unmodelled_scanner_error_is_located_in_the_scanner(plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 109, [cubic_lens])))
+def test_an_unmodelled_scanner_error_is_located_in_the_scanner(large_plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(large_plan, 109, [cubic_lens])))
 
     assert verdict_of(found) in ("unexplained", "cannot_tell")  # what stands beside it is open, not where it is
     assert (found.cells[0].location, found.cells[0].depends_on) == ("scanner", "x")

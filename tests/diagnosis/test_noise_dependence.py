@@ -43,9 +43,9 @@ def test_noise_that_grows_with_reach_is_named_and_the_effect_beside_it_is_found(
     assert abs(compliance.value - 3e-6) < 3 * compliance.std
 
 
-def test_each_pose_gets_its_own_noise(plan):
-    (one,) = noise_variations(fit_model(prepare(noisier(simulated.observe(plan, 8), 3.4))))
-    true = 1 + 2.4 * farther(plan)
+def test_each_pose_gets_its_own_noise(large_plan):
+    (one,) = noise_variations(fit_model(prepare(noisier(simulated.observe(large_plan, 8), 3.4))))
+    true = 1 + 2.4 * farther(large_plan)
     np.testing.assert_allclose(one.scale, true / np.exp(np.mean(np.log(true))), rtol=0.25)
 
 

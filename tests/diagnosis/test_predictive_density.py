@@ -34,8 +34,8 @@ def test_chi2_of_a_prediction_is_the_mahalanobis_distance():
     assert known.solution == pytest.approx(covariance @ A.T @ r[train, 0])
 
 
-def test_an_effect_that_is_there_predicts_stations_left_out(plan):
-    observed = simulated.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)])
+def test_an_effect_that_is_there_predicts_stations_left_out(large_plan):
+    observed = simulated.observe(large_plan, 141, [("joint_compliance", ("A2",), [2e-6], None)])
     setup = model_fit.prepare(observed)
     station = observed.station[observed.pose]
     elastic = next(c for c in setup.candidates if c.key.startswith("joint_compliance:A2"))
@@ -67,9 +67,9 @@ def test_scores_by_shared_products_are_those_of_each_model_by_itself(plan):
     assert fit.posterior.solution == pytest.approx(JointModel(linear, other, (), fit.whiten).posterior.solution, rel=1e-6)
 
 
-def test_poorly_determined_coefficients_stay_near_zero(plan):
+def test_poorly_determined_coefficients_stay_near_zero(large_plan):
     """A slip along the view is seen, its turn about the middle of the view is not: the prediction uses what is known of it."""
-    observed = simulated.observe(plan, 142, [("mount_shift", ("mount",), [0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 60.0)])
+    observed = simulated.observe(large_plan, 142, [("mount_shift", ("mount",), [0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 60.0)])
     setup = model_fit.prepare(observed)
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
     model = EffectSet((Member(candidate, 60.0),))

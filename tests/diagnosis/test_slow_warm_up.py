@@ -18,27 +18,26 @@ def measured(plan, seed, offset_mm, time_constant_s):
     return away, (constant.value - time_constant_s) / constant.std, constant.std
 
 
-@pytest.mark.parametrize("seed", [503, 505])
-@pytest.mark.parametrize("lengths", [1.0, 3.0])
-def test_a_slow_warm_up_is_stated_as_uncertain_as_it_is(plan, seed, lengths):
-    duration = np.ptp(plan.time_s)
-    offset, constant, std = measured(plan, seed, [0.03 * lengths, 0.0, 0.06 * lengths], lengths * duration)
+@pytest.mark.parametrize(("seed", "lengths"), [(503, 3.0), (505, 1.0)])
+def test_a_slow_warm_up_is_stated_as_uncertain_as_it_is(large_plan, seed, lengths):
+    duration = np.ptp(large_plan.time_s)
+    offset, constant, std = measured(large_plan, seed, [0.03 * lengths, 0.0, 0.06 * lengths], lengths * duration)
     assert np.abs(offset).max() < 3
     assert abs(constant) < 3
     assert std > 0.5 * duration
 
 
-def test_a_warm_up_that_ends_within_the_recording_is_measured(plan):
-    duration = np.ptp(plan.time_s)
-    offset, constant, std = measured(plan, 502, [0.02, 0.0, 0.06], 0.2 * duration)
+def test_a_warm_up_that_ends_within_the_recording_is_measured(large_plan):
+    duration = np.ptp(large_plan.time_s)
+    offset, constant, std = measured(large_plan, 502, [0.02, 0.0, 0.06], 0.2 * duration)
     assert np.abs(offset).max() < 3
     assert abs(constant) < 3
     assert std < 0.05 * duration
 
 
 @pytest.mark.parametrize("seed", [704, 708, 710])
-def test_a_weak_and_slow_warm_up_is_not_taken_for_a_small_fast_one(plan, seed):
+def test_a_weak_and_slow_warm_up_is_not_taken_for_a_small_fast_one(large_plan, seed):
     """The recording shows a change of some micrometres at its beginning: it may fade soon, or be the start of a larger one."""
-    offset, constant, _ = measured(plan, seed, [0.027, -0.018, 0.036], 2.7 * np.ptp(plan.time_s))
+    offset, constant, _ = measured(large_plan, seed, [0.027, -0.018, 0.036], 2.7 * np.ptp(large_plan.time_s))
     assert np.abs(offset).max() < 3
     assert abs(constant) < 3

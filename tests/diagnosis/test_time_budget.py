@@ -33,8 +33,8 @@ def with_clock(monkeypatch, reads, data, minutes=10.0):
 
 
 @pytest.fixture(scope="module")
-def elastic(plan):
-    return simulated.observe(plan, 131, [elastic_joint_three])
+def elastic():
+    return simulated.observe(simulated.plan(4, 2, 6), 131, [elastic_joint_three])
 
 
 def test_a_search_without_time_tells_nothing_and_says_why(monkeypatch, elastic):

@@ -47,8 +47,8 @@ def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
     assert (found.cells[0].location, found.cells[0].depends_on) == ("A4", "direction_4")
 
 
-def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(plan):
-    observed = simulated.observe(plan, 111)
+def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(large_plan):
+    observed = simulated.observe(large_plan, 111)
     true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
 
     found = model_fit.fit_model(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))

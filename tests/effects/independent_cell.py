@@ -5,6 +5,7 @@ Units are mm, rad, s, kg, N and N m. Every function says what the physics is; th
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -60,7 +61,13 @@ def masses(q: np.ndarray, payload: float = PAYLOAD, com: np.ndarray = PAYLOAD_CO
 
 def gravity_torque(q: np.ndarray, payload: float = PAYLOAD, com: np.ndarray = PAYLOAD_COM) -> np.ndarray:
     """(6,) N m: minus the derivative of the potential energy by each angle, so positive where gravity helps the angle to grow."""
-    step = 1e-5
+    return _gravity_torque(tuple(q.tolist()), payload, tuple(com.tolist())).copy()
+
+
+@cache
+def _gravity_torque(angles: tuple[float, ...], payload: float, centre: tuple[float, ...]) -> np.ndarray:
+    """The same, once for each posture: fifty tests ask for it at the same ones."""
+    q, com, step = np.array(angles), np.array(centre), 1e-5
 
     def energy(angles: np.ndarray) -> float:
         return -sum(m * G * DOWN @ r * 1e-3 for m, r in masses(angles, payload, com))

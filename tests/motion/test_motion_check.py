@@ -9,7 +9,7 @@ from mbcacq.diagnosis.motion.diagnose import check_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.errors import ConfigError
 
-FRICTION = {"coulomb": 5.0, "compliance": 1e-5}
+FRICTION = {"coulomb": 5.0, "compliance": 1e-5, "seconds": 6.0}
 
 
 def left(checks):
@@ -36,7 +36,7 @@ def test_effects_of_the_arm_leave_the_noise_of_the_other_recording(same_arm):
 
 def test_another_friction_of_the_other_recording_stays_in_its_error(learnt, same_arm):
     """Learnt from both, 5 and 9 N m would meet at 7 and leave 2; learnt from the first alone they leave 4."""
-    other = left(check_trajectories([learnt], [("b", recording(2, coulomb=9.0, compliance=1e-5))]))
+    other = left(check_trajectories([learnt], [("b", recording(2, **FRICTION | {"coulomb": 9.0}))]))
     for axis in ("A1", "A2"):
         assert other["tau", axis].after_rms == pytest.approx(np.hypot(4.0, 0.3), rel=0.1)
 

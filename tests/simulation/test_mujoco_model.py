@@ -33,7 +33,7 @@ def arm(friction=(0.0, 0.0, 0.0), tool="", delay_s=0.0, gear="", servo=("400", "
 {"".join(f'<jointactuatorfrc joint="A{k}" {delayed}/>' for k in (1, 2, 3))}</sensor></mujoco>"""
 
 
-def set_points(seed, seconds=4.0):
+def set_points(seed, seconds):
     rng = np.random.default_rng(seed)
     t = np.arange(0, seconds, STEP_S)
     fade = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1) ** 2
@@ -43,11 +43,11 @@ def set_points(seed, seconds=4.0):
     return t, np.array([0.0, 0.6, 0.9]) + fade[:, None] * angle
 
 
-def record(xml, seed, q_joint=False):
+def record(xml, seed, q_joint=False, seconds=2.0):
     """What a controller would log of the model, stepped one by one."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
-    t, command = set_points(seed)
+    t, command = set_points(seed, seconds)
     motors = [model.jnt_qposadr[model.joint(f"A{k}").id] for k in (1, 2, 3)]
     data.qpos[motors] = command[0]
     fine = CubicSpline(t, command)(np.arange(0, t[-1] + 1e-9, TIMESTEP_S))
@@ -71,10 +71,10 @@ def given(tmp_path_factory):
     return path
 
 
-def trajectory(given, xml, seed):
+def trajectory(given, xml, seed, **of):
     from mbcacq.simulation.mujoco_arm import load_arm
 
-    t, command, q, torque = record(xml, seed)
+    t, command, q, torque = record(xml, seed, **of)
     return Trajectory(load_arm(given).robot, t, q, q_set=command, torque=torque, name=f"motion{seed}")
 
 

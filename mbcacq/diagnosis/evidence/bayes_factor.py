@@ -13,17 +13,17 @@ def log_set_bayes_factor(
 ) -> tuple[float, list[float]]:
     """Log Bayes factor of a set of effects together, and the most probable size of each.
 
-    A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect. The average over the sizes of all is taken about the
-    most probable ones, one effect at a time.
+    A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect; sizes: ascending. The average over the sizes of all is
+    taken about the most probable ones, one effect at a time.
     """
-    chosen = np.array([float(np.median(s)) for s in sizes])
+    chosen = np.array([0.5 * (s[(len(s) - 1) // 2] + s[len(s) // 2]) for s in sizes])
     effects = [_OneEffect(A, a, slices, j, positive) for j in range(len(slices))]
     spread, best = np.zeros(len(slices)), np.full(len(slices), -np.inf)
     asked: list[list[float] | None] = [None] * len(slices)  # sizes of the others with which an effect was evaluated last
     for _ in range(3):
         before = chosen.tolist()
         for j, own in enumerate(sizes):
-            others = np.delete(chosen, j)
+            others = without(chosen, j, j + 1)
             if others.tolist() == asked[j]:
                 continue
             asked[j] = others.tolist()
@@ -46,7 +46,7 @@ def over_sizes(
     mean, covariance = _posterior(A, a, slices, best)
     total, spread = mean.copy(), covariance.copy()
     for j, own in enumerate(sizes):
-        logs = _OneEffect(A, a, slices, j, positive).log_factors(np.delete(best, j), own)
+        logs = _OneEffect(A, a, slices, j, positive).log_factors(without(best, j, j + 1), own)
         share = np.exp(logs - np.logaddexp.reduce(logs))
         each = [_posterior(A, a, slices, np.where(np.arange(len(best)) == j, size, best)) for size in own]
         away = np.array([m - mean for m, _ in each])
@@ -63,16 +63,21 @@ def _posterior(A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: np.ndar
     return inverse @ a, inverse
 
 
+def without(values: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """The values but those from start to stop; quicker than ``np.delete``, and called thousands of times."""
+    return np.concatenate([values[:start], values[stop:]])
+
+
 class _OneEffect:
     """An effect j of a set, the others of which are eliminated at given sizes."""
 
     def __init__(self, A: np.ndarray, a: np.ndarray, slices: list[slice], j: int, positive: list[bool]):
         own, width = slices[j], np.array([p.stop - p.start for p in slices])
-        mine, rest = np.arange(own.start, own.stop), np.delete(np.arange(len(a)), own)
-        self.width = np.delete(width, j)
+        rest = without(np.arange(len(a)), own.start, own.stop)
+        self.width = without(width, j, j + 1)
         self.positive = positive[j]
         self.own, self.right = A[own, own], a[own]
-        self.across, self.others, self.others_right = A[np.ix_(rest, mine)], A[np.ix_(rest, rest)], a[rest]
+        self.across, self.others, self.others_right = A[rest, own], A[rest[:, None], rest], a[rest]
         starts = [p.start for i, p in enumerate(slices) if positive[i] and i != j]
         self.positive_others = np.searchsorted(rest, starts)
 
@@ -82,15 +87,16 @@ class _OneEffect:
         The others are eliminated, and what remains of the effect is taken along its eigenvectors, in which every size is a number.
         """
         t = np.repeat(sizes, self.width)
-        normal, diagonal = t[:, None] * self.others * t, np.arange(len(t))
-        normal[diagonal, diagonal] += 1.0
+        normal = t[:, None] * self.others * t
+        normal.flat[:: len(t) + 1] += 1.0
         root = np.linalg.cholesky(normal)
         inverse = inverse_of_lower(root) if len(root) else root
         across, beyond = inverse @ (t[:, None] * self.across), inverse @ (t * self.others_right)
-        value, vectors = np.linalg.eigh(self.own - across.T @ across)
+        beside = self.own - across.T @ across
+        value, vectors = (beside[0], np.ones((1, 1))) if len(beside) == 1 else np.linalg.eigh(beside)
         along, square = vectors.T @ (self.right - across.T @ beyond), own[:, None] ** 2
         grown = 1.0 + square * np.maximum(value, 0.0)
-        constant = 0.5 * float(beyond @ beyond) - float(np.log(np.diag(root)).sum())
+        constant = 0.5 * float(beyond @ beyond) - float(np.log(root.diagonal()).sum())
         logs = constant + 0.5 * np.sum(square * along**2 / grown - np.log(grown), axis=1)
         if self.positive:
             logs = logs + log_twice_normal(own * along[0] / np.sqrt(grown[:, 0]))

@@ -221,7 +221,7 @@ class PoseSearch(EvidenceSearch):
                 others = tuple(m for m in best.members if m is not named and m is not plain)
                 process = self.unmodelled.process(best.point.conditioned(others), plain)
                 members = others if process is None else (*others, process)
-                if process is not None:
+                if process is not None and self.looked_at(members, best).log_posterior > best.log_posterior - OPTIONS.reach:
                     self.estimated(members, best.point)
 
     def exchange(self, best: Hypothesis) -> None:

@@ -86,7 +86,7 @@ class EffectSelection:
         pool.forget_step()
         chosen = model.chosen()
         weights = model.weights(chosen)
-        colour = model.colour(chosen)
+        colour = model.colour(chosen, weights)
         every = [*pool.forms, *pool.periodic(weights, chosen)]
         offered = [forms for forms in every if forms[0].candidate.form not in self._left_out]
         problem, prior = GramProblem.of(model, colour), np.array(store.prior)
@@ -104,8 +104,9 @@ class EffectSelection:
             budget=self.budget,
         )
         alone = np.asarray(store.base, dtype=int)
+        of_alone = model.weights(alone)
         # The start of the search matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
-        start = GramPoint(problem, -np.log(model.weights(alone) * model.colour(alone)))
+        start = GramPoint(problem, -np.log(of_alone * model.colour(alone, of_alone)))
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
         log_e = log_e_value(ranked) - log_prior_mass(candidates)
@@ -121,7 +122,8 @@ class EffectSelection:
             return best
         for _, member in search.extensions(best, search.candidates)[:TRIED]:
             chosen = np.concatenate([self.model.chosen(), member.columns]).astype(int)
-            problem = best.point.problem.recoloured(np.minimum(self.model.colour(chosen) / self._colour, 1.0))
+            colour = self.model.colour(chosen, self.model.weights(chosen))
+            problem = best.point.problem.recoloured(np.minimum(colour / self._colour, 1.0))
             without = estimated(best.members, replace(best.point, problem=problem), best.log_prior)
             members = (*best.members, member)
             grown = estimated(members, without.point, search.log_prior(members))

@@ -121,7 +121,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
         held_out_before=selection.start,
         held_out_after=model.held_out_mean_square(chosen, model.fold_normals(weights)),
         train_before=train_before / n,
-        train_after=store.errors(chosen, x).sum(axis=0) / n,
+        train_after=store.errors(chosen, x) / n,
         floor=model.floor,
         split=store.split,
         links=_links(model, x),
@@ -140,7 +140,7 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
     store.correct_delay(0.0)
     base = model.without_load_error(store.base)
     x = store.solve(store.normal(model.weights(base)), base)
-    out = _residuals(model, base, x), store.errors(base, x).sum(axis=0)
+    out = _residuals(model, base, x), store.errors(base, x)
     store.correct_delay(delay)
     return out
 

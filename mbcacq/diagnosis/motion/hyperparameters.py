@@ -42,7 +42,7 @@ def _improved_orders(model: MotionModel) -> bool:
         chosen = model.chosen()
         weights = model.weights(chosen)
         x = store.solve(store.normal(weights), chosen)
-        deviance = float(np.log(np.maximum(store.errors(chosen, x).sum(axis=0), 1e-300)) @ store.count.sum(axis=0))
+        deviance = float(np.log(np.maximum(store.errors(chosen, x), 1e-300)) @ store.count.sum(axis=0))
         if best is not None and deviance > best:
             break
         best = deviance

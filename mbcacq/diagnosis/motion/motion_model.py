@@ -100,15 +100,15 @@ class MotionModel:
         store = self.store
         count = np.maximum(store.count.sum(axis=0), 1.0)
         least = count * self.least_noise**2
-        weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), least)
+        weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)), least)
         for _ in range(NUMBERS.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
-            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * self._correlated_samples(chosen, x), least)
+            weights = count / np.maximum(store.errors(chosen, x) * self._correlated_samples(chosen, x), least)
         return weights
 
-    def colour(self, chosen: np.ndarray) -> np.ndarray:
-        """(J,) samples of the residual of these columns that count as one."""
-        return self._correlated_samples(chosen, self.store.solve(self.store.normal(self.weights(chosen)), chosen))
+    def colour(self, chosen: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(J,) samples of the residual of these columns, fitted with these weights, that count as one."""
+        return self._correlated_samples(chosen, self.store.solve(self.store.normal(weights), chosen))
 
     def _correlated_samples(self, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
         return self.store.correlated_samples(chosen, x, self.least_noise**2)
@@ -124,7 +124,7 @@ class MotionModel:
 
     def held_out_mean_square(self, chosen: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         """(J,) of each fold predicted from the others."""
-        return self.store.held_out(chosen, normals).sum(axis=0) / np.maximum(self.store.count.sum(axis=0), 1.0)
+        return self.store.held_out(chosen, normals) / np.maximum(self.store.count.sum(axis=0), 1.0)
 
     # simulation
 

@@ -52,7 +52,7 @@ def _inverse(store: NormalStore, weights: np.ndarray, chosen: np.ndarray) -> np.
 
 
 def _chi2_dof(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> float:
-    return float((store.errors(chosen, x) @ weights).sum()) / max(store.count.sum() - len(chosen), 1.0)
+    return float(store.errors(chosen, x) @ weights) / max(store.count.sum() - len(chosen), 1.0)
 
 
 def _spread_of_scores(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:

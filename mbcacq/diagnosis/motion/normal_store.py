@@ -192,22 +192,9 @@ class NormalStore:
 
     # errors
 
-    def errors(self, chosen: np.ndarray, x: np.ndarray, fold: int | None = None) -> np.ndarray:
-        """Squared error (S, J) of coefficients on the segments of a fold (all if None), its mean removed where that is a convention."""
-        take = np.ones(len(self.segments), dtype=bool) if fold is None else self._fold == fold
-        position = self.positions(chosen)
-        out = np.empty((int(take.sum()), len(self.numbers)))
-        for j, numbers in enumerate(self.numbers):
-            own = np.flatnonzero((numbers == MISMATCH) | (position[numbers] >= 0))
-            v = np.array([1.0 if i == MISMATCH else -x[position[i]] for i in numbers[own]])
-            products = self.products[j] if fold is None else self.products[j][take]
-            Gv = _times(products, own, v)
-            square = Gv @ v
-            if self.group.refit and fold is not None:
-                first = int(np.flatnonzero(numbers[own] == self.offset[j])[0])
-                _remove_means(square, Gv[:, first], self.count[take, j], self._run[take])
-            out[:, j] = np.maximum(square, 0.0)
-        return out
+    def errors(self, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """(J,) squared error of coefficients over all segments."""
+        return np.array([self._square(j, self.total(j), chosen, x) for j in range(len(self.numbers))])
 
     def correlated_samples(self, chosen: np.ndarray, x: np.ndarray, least: np.ndarray) -> np.ndarray:
         """(J,) by how much the sum of the residual over a segment varies more than that of white noise: the number of samples that count
@@ -216,21 +203,43 @@ class NormalStore:
         least: (J,) variance of the white noise that every channel has on top. A residual that is only the rounding of the computation is
         as smooth as can be, which says nothing of the channel's noise.
         """
-        position = self.positions(chosen)
-        out = np.ones(len(self.numbers))
         white = self.count.sum(axis=0) * least
-        for j, numbers in enumerate(self.numbers):
-            own = np.flatnonzero((numbers == MISMATCH) | (position[numbers] >= 0))
-            v = np.array([1.0 if i == MISMATCH else -x[position[i]] for i in numbers[own]])
-            Gv = _times(self.products[j], own, v)
-            first = int(np.flatnonzero(numbers[own] == self.offset[j])[0])
-            varies, if_white = float((Gv[:, first] ** 2).sum()) + white[j], max(float((Gv @ v).sum()), 0.0) + white[j]
-            out[j] = max(varies / max(if_white, 1e-300), 1.0)
-        return out
+        varies = np.array([float((self._sums_of_residual(j, chosen, x) ** 2).sum()) for j in range(len(self.numbers))]) + white
+        return np.maximum(varies / np.maximum(self.errors(chosen, x) + white, 1e-300), 1.0)
 
     def held_out(self, chosen: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
-        """Squared errors (S, J), each fold predicted from the others (``normals``: by fold left out); segments ordered by fold."""
-        return np.concatenate([self.errors(chosen, self.solve(normals[f], chosen), f) for f in self.folds])
+        """(J,) squared errors, each fold predicted from the others (``normals``: by fold left out), the mean of each recording removed
+        where that is a convention."""
+        out = np.zeros(len(self.numbers))
+        for fold in self.folds:
+            x = self.solve(normals[fold], chosen)
+            for j in range(len(self.numbers)):
+                error = self._square(j, self._sum(j)[1][fold], chosen, x)
+                out[j] += max(error - self._square_of_means(j, fold, chosen, x), 0.0) if self.group.refit else error
+        return out
+
+    def _square(self, j: int, products: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> float:
+        """Squared error of a joint by the products (c, c) of its columns."""
+        own, factor = self._residual_of_columns(j, chosen, x)
+        return max(float(factor @ products[np.ix_(own, own)] @ factor), 0.0)
+
+    def _square_of_means(self, j: int, fold: int, chosen: np.ndarray, x: np.ndarray) -> float:
+        """What the mean residual of each recording adds to the squared error of a fold."""
+        here = self._fold == fold
+        total = np.bincount(self._run[here], self._sums_of_residual(j, chosen, x)[here])
+        return float((total**2 / np.maximum(np.bincount(self._run[here], self.count[here, j]), 1.0)).sum())
+
+    def _sums_of_residual(self, j: int, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """(S,) sum of a joint's residual over each segment: its product with the offset, which is one at every sample."""
+        own, factor = self._residual_of_columns(j, chosen, x)
+        offset = int(np.flatnonzero(self.numbers[j] == self.offset[j])[0])
+        return self.products[j][:, offset][:, own] @ factor
+
+    def _residual_of_columns(self, j: int, chosen: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Indices (k,) of the columns of a joint of which its residual is made, the mismatch among them, and their factors (k,)."""
+        at = self.positions(chosen)[self.numbers[j]]
+        own = np.flatnonzero((self.numbers[j] == MISMATCH) | (at >= 0))
+        return own, np.append(-x, 1.0)[at[own]]  # the mismatch is at -1
 
     def residual(self, j: int, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Residual (Ttot,) of a joint's mismatch; zero where a sample is not used."""
@@ -259,21 +268,3 @@ class NormalStore:
 
     def slices(self, run: int) -> slice:
         return slice(int(self._start[run]), int(self._start[run + 1]))
-
-
-def _times(products: np.ndarray, own: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(S, len(own)) products (S, c, c), restricted to the columns ``own``, times v; the cheaper of two orders."""
-    c = products.shape[1]
-    if 2 * len(own) < c:
-        return products[:, own][:, :, own] @ v
-    full = np.zeros(c)
-    full[own] = v
-    return (products @ full)[:, own]
-
-
-def _remove_means(square: np.ndarray, total: np.ndarray, count: np.ndarray, runs: np.ndarray) -> None:
-    """Subtract in place from squared errors (S,) what the mean residual of each run adds; total: (S,) sum of the residuals."""
-    for run in np.unique(runs):
-        same = runs == run
-        mean = total[same].sum() / max(count[same].sum(), 1.0)
-        square[same] += -2.0 * mean * total[same] + count[same] * mean**2
