@@ -139,21 +139,25 @@ class BandScan:
 
     @cached_property
     def _noise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Covariances (H, k, k) with geometry alone, and coefficients (H, k, draws) of recordings of noise."""
+        """Normal matrices (H, k, k) with geometry alone, and right-hand sides (H, k, draws) of recordings of noise."""
         S, b = self.problem.scores_of_noise(self.candidate, self.values)
         t = self.candidate.typical
-        covariance = np.linalg.inv(S * np.outer(t, t))
-        return covariance, covariance @ (b * t[:, None])
+        return S * np.outer(t, t), b * t[:, None]
 
     def independent(self, band: LimitBand, parameter: str, which: np.ndarray) -> float:
-        """Number of independent values of a band, for a parameter of some coefficients (indices): by recordings of noise alone."""
+        """Number of independent values of a band, for a parameter of some coefficients (indices): by recordings of noise alone.
+
+        The geometry absorbs the effect at none of these values; at others of the scan it may.
+        """
         if len(band.values) == 1:
             return 1.0
         key, kept = (self.candidate.key, band.values, parameter), self.problem.store.independent
         if key not in kept:
-            covariance, drawn = (each[self._places(band)][:, which] for each in self._noise)
+            information, scores = (each[self._places(band)] for each in self._noise)
+            covariance = np.linalg.inv(information)
+            drawn, own = (covariance @ scores)[:, which], covariance[:, which][:, :, which]
             positive = self.candidate.positive and self.candidate.k == 1
-            kept[key] = independent_values(largest_ratio(drawn, covariance[:, :, which], positive), len(which), positive)
+            kept[key] = independent_values(largest_ratio(drawn, own, positive), len(which), positive)
         return kept[key]
 
 
