@@ -1,6 +1,7 @@
 """Limits of what could hide: they hold for the orders and moments that they name, with everything free that an effect is confused with."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import simulated
 
 from mbcacq.diagnosis.output.compensation import Compensation
 from mbcacq.diagnosis.output.exclusion_limits import BandScan, confounders, limits_of, limits_of_bands, parameters_of, with_confounders
-from mbcacq.diagnosis.output.limit_bands import ORDERS, bands
+from mbcacq.diagnosis.output.limit_bands import ORDERS, LimitBand, bands
 from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, largest_ratio, upper_limit
@@ -176,3 +177,27 @@ def test_nothing_is_limited_where_it_was_found(projected, few):
     limits = limits_of(projected, [gear, scale], [Member(gear, 2.0), Member(scale, None)])
     assert {e.candidate.name for e in limits} == {"gear_transmission_error"}
     assert not any(min(e.band.values) <= 2.0 <= max(e.band.values) for e in limits)
+
+
+def scan_of(information: np.ndarray, values: tuple[float, ...], drawn: np.ndarray) -> BandScan:
+    """A scan over values (H,) at which a coefficient has this information (H,), with right-hand sides (H, N) of recordings of noise."""
+    S = information[:, None, None]
+    problem = SimpleNamespace(
+        normal_matrices=lambda candidate, at: (S, np.zeros((len(at), 1))),
+        scores_of_noise=lambda candidate, at: (S, drawn[:, None, :]),
+        store=SimpleNamespace(independent={}),
+    )
+    candidate = SimpleNamespace(typical=np.ones(1), components=(1,), key="a", positive=False, k=1)
+    return BandScan(problem, candidate, [LimitBand(values)])
+
+
+def test_a_value_that_the_geometry_absorbs_does_not_disturb_the_limits_at_others():
+    """Of a short recording, a gear's error of one order may be absorbed and that of the next not."""
+    drawn = np.random.default_rng(1).normal(size=(6, 400))
+    drawn[2] = 0.0
+    band = LimitBand((1.0, 2.0, 4.0, 5.0, 6.0))
+    some = np.array([0, 1, 3, 4, 5])
+    whole = scan_of(np.array([1.0, 1, 0, 1, 1, 1]), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), drawn)
+    number = whole.independent(band, "size", np.array([0]))
+    assert number == scan_of(np.ones(5), band.values, drawn[some]).independent(band, "size", np.array([0]))
+    assert 4.0 < number < 6.5  # five values whose noise has nothing in common
