@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
+from dry_runs import few_views, plan_file
 from installed_package import PACKAGE, install
 
 from mbcacq.conformance import CHECKS, check
@@ -78,14 +78,11 @@ def test_two_packages_with_one_name_are_refused_not_mixed_up(tmp_path, monkeypat
 
 
 def plan_with_probe(folder, address):
-    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
-    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
-    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
-    path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan))
-    return path
+    def change(plan):
+        few_views(plan)
+        plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
+
+    return plan_file(folder, change)
 
 
 def test_a_run_records_what_it_reads(outside, tmp_path):

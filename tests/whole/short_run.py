@@ -3,7 +3,7 @@
 import time
 
 import numpy as np
-from typed_command import plan_file
+from dry_runs import plan_file
 
 from mbcacq.acquisition import events
 from mbcacq.devices import load_driver

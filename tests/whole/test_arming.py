@@ -10,8 +10,9 @@ import termios
 import time
 
 import pytest
+from dry_runs import plan_file
 from terminal_session import Terminal
-from typed_command import MBCACQ, mbcacq, one_sentence, plan_file
+from typed_command import MBCACQ, mbcacq, one_sentence
 
 from mbcacq.devices.addresses import on_loopback_only
 

@@ -4,7 +4,8 @@ import csv
 import json
 
 import pytest
-from typed_command import mbcacq, plan_file
+from dry_runs import plan_file
+from typed_command import mbcacq
 
 SERIAL = {
     "driver": "serial",

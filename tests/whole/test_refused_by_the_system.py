@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
+from dry_runs import few_views, plan_file
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
-from typed_command import few_views, plan_file
 
 from mbcacq.cli.app import refused_by_the_system
 
