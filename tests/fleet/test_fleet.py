@@ -117,7 +117,7 @@ def test_what_was_stored_before_an_end_is_not_repeated(how, folder, tmp_path):
     waiting = sorted({path.name for path in (tmp_path / "runs").iterdir()} - kept)
     for name in waiting[2:]:  # two are enough to show that the fleet goes on
         shutil.rmtree(tmp_path / "runs" / name)
-    with running_cluster() as scheduler:  # which need not be started
+    with running_cluster() as scheduler:
         mbcacq.evaluate_fleet([tmp_path / "runs"], out, scheduler=scheduler)
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
     assert [row.status for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:2]))

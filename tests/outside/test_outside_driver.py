@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from dry_runs import few_views, plan_file
 from installed_package import PACKAGE, install
 
+from mbcacq.cli.app import app
 from mbcacq.conformance import CHECKS, check
 from mbcacq.errors import ConfigError
 
@@ -93,13 +95,13 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
         hurried = tmp_path / "hurried.yaml"  # no controller is there for the doctor to wait for
         hurried.write_text(plan.read_text().replace("bind: 127.0.0.1", "bind: 127.0.0.1\n    connect_timeout_s: 1.0"))
         assert "connect_timeout_s" in hurried.read_text()
-        looked = mbcacq(outside, "doctor", hurried, "--json")
+        looked = CliRunner().invoke(app, ["doctor", str(hurried), "--json"])
         lines = {line["topic"]: line for line in json.loads(looked.stdout)["lines"]}
         assert lines["sensor 1"]["level"] == "ok"
         assert lines["sensor 1"]["text"] == "T-1000 0815: air_C 21 C"
         run = tmp_path / "run"
-        done = mbcacq(outside, "run", plan, "--dry-run", "--out", run)
-        assert done.returncode == 0, done.stderr
+        done = CliRunner().invoke(app, ["run", str(plan), "--dry-run", "--out", str(run)])
+        assert done.exit_code == 0, done.stderr
         answers = probe.answers[1:]
     from mbcacq.recording import load_observations
 
