@@ -24,7 +24,7 @@ def content() -> dict:
     plan["robot"]["model"] = str(folder / plan["robot"]["model"])
     plan["artefacts"] = [str(folder / name) for name in plan["artefacts"]]
     plan["exposures"] = 1
-    plan["scanner"]["resolution_mm"] = 0.5  # a few hundred points a ball are enough here
+    plan["scanner"]["resolution_mm"] = 0.7  # two hundred points a ball are enough here
     plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [500, 250, 100], "abc_deg": [20, -10, 0]}})
     views = plan["steps"][1]
     plan["steps"] = [plan["steps"][0], views, {**views, "name": "more", "stations": ["p2"]}]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +54,17 @@ def folder(cell, tmp_path_factory):
 def mbcacq_fleet(*arguments):
     command = [Path(sys.executable).parent / "mbcacq", "fleet", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=900, env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+
+@contextmanager
+def running_cluster():
+    """Address of the scheduler of a cluster in this process."""
+    from dask.distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address="127.0.0.1:0"
+    ) as running:
+        yield running.scheduler_address
 
 
 def test_a_broken_recording_is_a_row_and_nothing_is_done_twice(folder, tmp_path):
@@ -105,8 +117,8 @@ def test_what_was_stored_before_an_end_is_not_repeated(how, folder, tmp_path):
     waiting = sorted({path.name for path in (tmp_path / "runs").iterdir()} - kept)
     for name in waiting[2:]:  # two are enough to show that the fleet goes on
         shutil.rmtree(tmp_path / "runs" / name)
-    again = mbcacq_fleet(tmp_path / "runs", "--out", out, "--workers", "1")
-    assert again.returncode == 0, again.stderr
+    with running_cluster() as scheduler:
+        mbcacq.evaluate_fleet([tmp_path / "runs"], out, scheduler=scheduler)
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
     assert [row.status for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:2]))
 
@@ -136,12 +148,8 @@ def test_the_recording_at_which_a_worker_ends_fails_and_its_neighbours_do_not(fo
 
 
 def test_a_cluster_that_runs_already_does_the_same(folder, tmp_path):
-    from dask.distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address="127.0.0.1:0"
-    ) as running:
-        found = mbcacq.evaluate_fleet([folder], tmp_path, scheduler=running.scheduler_address)
+    with running_cluster() as scheduler:
+        found = mbcacq.evaluate_fleet([folder], tmp_path, scheduler=scheduler)
     assert [row.status for row in found.rows] == ["evaluated", "refused", "evaluated"]
     store = FleetStore(tmp_path, FleetTask())
     assert all(store.row(one) is not None for one in find_recordings([folder]))

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from dry_runs import plan_file, recorded
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.folder import FakeScannerProgram
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
@@ -132,20 +133,8 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 @pytest.mark.parametrize("name", ["folder.yaml", "folder-output.yaml"])
 def test_a_dry_run_takes_its_clouds_from_files(tmp_path, name):
     """Triggered over the network, and by an output of the fake controller, which runs the programs of `controller-files`."""
-    import yaml
-
-    import mbcacq
-    from mbcacq.model import shipped
-
-    folder = shipped.folder()
-    plan = yaml.safe_load((folder / name).read_text(encoding="utf-8"))
-    plan["robot"]["model"] = str(folder / plan["robot"]["model"])
-    plan["artefacts"] = [str(folder / name) for name in plan["artefacts"]]
-    plan["steps"] = plan["steps"][-1:]
-    path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan))
-    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
-    assert mbcacq.load_observations(done.folder).n_poses == 4
+    plan = plan_file(tmp_path, lambda plan: plan.update(steps=plan["steps"][-1:]), name)
+    assert recorded(plan, tmp_path / "run").n_poses == 4
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dry_runs import few_views, plan_file
 
 import mbcacq
 from mbcacq.errors import ConfigError
@@ -200,8 +201,8 @@ def test_a_real_arm_is_not_moved_without_an_operator(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_dry_run_returns_the_calibrated_cell(plan, tmp_path):
-    seen = []
+def test_a_dry_run_returns_the_calibrated_cell(tmp_path):
+    plan, seen = plan_file(tmp_path, few_views), []
     done = mbcacq.run(plan, dry_run=True, seed=5, out=tmp_path / "run", operator=mbcacq.Operator(subscribers=(seen.append,)))
     assert done.folder == tmp_path / "run"
     assert json.loads((done.folder / "result.json").read_text())["fit"]["rms_mm"] == done.calibration.fit.rms_mm

@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
+from click.testing import CliRunner
+from dry_runs import few_views, plan_file
 from installed_package import PACKAGE, install
 
+from mbcacq.cli.app import app
 from mbcacq.conformance import CHECKS, check
 from mbcacq.errors import ConfigError
 
@@ -78,14 +80,11 @@ def test_two_packages_with_one_name_are_refused_not_mixed_up(tmp_path, monkeypat
 
 
 def plan_with_probe(folder, address):
-    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
-    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
-    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
-    path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan))
-    return path
+    def change(plan):
+        few_views(plan)
+        plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
+
+    return plan_file(folder, change)
 
 
 def test_a_run_records_what_it_reads(outside, tmp_path):
@@ -96,13 +95,13 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
         hurried = tmp_path / "hurried.yaml"  # no controller is there for the doctor to wait for
         hurried.write_text(plan.read_text().replace("bind: 127.0.0.1", "bind: 127.0.0.1\n    connect_timeout_s: 1.0"))
         assert "connect_timeout_s" in hurried.read_text()
-        looked = mbcacq(outside, "doctor", hurried, "--json")
+        looked = CliRunner().invoke(app, ["doctor", str(hurried), "--json"])
         lines = {line["topic"]: line for line in json.loads(looked.stdout)["lines"]}
         assert lines["sensor 1"]["level"] == "ok"
         assert lines["sensor 1"]["text"] == "T-1000 0815: air_C 21 C"
         run = tmp_path / "run"
-        done = mbcacq(outside, "run", plan, "--dry-run", "--out", run)
-        assert done.returncode == 0, done.stderr
+        done = CliRunner().invoke(app, ["run", str(plan), "--dry-run", "--out", str(run)])
+        assert done.exit_code == 0, done.stderr
         answers = probe.answers[1:]
     from mbcacq.recording import load_observations
 

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from dry_runs import plan_file, recorded, ur10
 from installed_package import install
 
 from mbcacq.conformance import CHECKS, check
 from mbcacq.devices import ConfigError, ConnectError, MotionLimits, SafetyStop
-from mbcacq.model import shipped
 
 PACKAGE = Path(__file__).parents[2] / "examples" / "ur_rtde_driver"
 HOME_DEG = np.array([0.0, -90, 90, -90, -90, 0])
@@ -100,19 +99,9 @@ def test_a_controller_without_its_program_says_what_to_load():
 
 
 def test_a_dry_run_drives_it_through_its_own_fake(tmp_path):
-    import mbcacq
     from mbcacq.acquisition.cell_devices import create_devices
     from mbcacq.plan import load
 
-    folder = shipped.folder()
-    plan = yaml.safe_load((folder / "quick.yaml").read_text())
-    plan["robot"] = {"driver": "ur_rtde_example", "model": str(folder / "robots" / "ur10.yaml"), "options": {"address": "192.168.0.10"}}
-    plan["robot"]["home_deg"] = [0, -90, -90, -90, 90, 0]
-    plan["artefacts"] = [str(folder / a) for a in plan["artefacts"]]
-    plan["stations"][0]["pose_in_base"] = {"translation_mm": [-800, -150, 200]}
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:3]}]
-    path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan))
+    path = plan_file(tmp_path, ur10("ur_rtde_example", {"address": "192.168.0.10"}))
     assert type(create_devices(load(path)).robot).__name__ == "UrRtde"
-    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
-    assert mbcacq.load_observations(done.folder).n_poses == 3
+    assert recorded(path, tmp_path / "run").n_poses == 4

@@ -45,6 +45,8 @@ def test_a_closed_stream_leaves_no_thread_when_the_next_is_made(tmp_path, write)
         gc.collect()
         return len(list(TASKS.iterdir())) - threading.active_count()
 
+    gc.collect()
+    gc.freeze()  # what other tests left is not looked through again after each stream
     counts = [threads_after(f"r{k}") for k in range(6)]
     assert counts[-1] <= counts[1], f"threads outside Python: {counts}"
 

@@ -84,6 +84,7 @@ def test_a_real_run_cannot_use_it():
 PLAN = {
     "format": "mbcacq-plan/1",
     "name": "arm",
+    "exposures": 1,
     "scanner": {
         "driver": "gocator",
         "options": {"address": "127.0.0.1"},

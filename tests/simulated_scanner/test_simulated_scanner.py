@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from dry_runs import recorded
 from mbcacq_fakes.cell.fake_cell import FakeCell
 from mbcacq_fakes.cell.simulated_scanner import SimulatedScanner
 from mbcacq_fakes.world.description import ScannerView
@@ -46,12 +47,11 @@ def plan_with(folder, scanner, robot_driver="not_installed", **more):
 
 
 def scatter(path, folder):
-    """(3,) mm standard deviation of a centre between the exposures of a pose, and the run."""
+    """(3,) mm standard deviation of a centre between the exposures of a pose, and what was recorded."""
     heard = []
-    operator = mbcacq.Operator(subscribers=(heard.append,))
-    run = mbcacq.run(path, dry_run=True, out=folder, operator=operator)
+    found = recorded(path, folder, [heard.append])
     poses = [event for event in heard if type(event).__name__ == "PoseDone"]
-    return np.sqrt(np.mean(np.concatenate([p.scatter_mm for p in poses]) ** 2, axis=0)), run, poses
+    return np.sqrt(np.mean(np.concatenate([p.scatter_mm for p in poses]) ** 2, axis=0)), found, poses
 
 
 def test_a_dry_run_has_the_noise_that_the_plan_states(tmp_path):
@@ -75,9 +75,9 @@ def test_what_the_fake_section_says_wins(tmp_path):
 def test_a_scanner_whose_frame_is_in_its_camera_is_aimed_by_the_middle_of_its_view(tmp_path):
     away = {"rotation": [[0, -1, 0], [-1, 0, 0], [0, 0, -1]], "translation_mm": [0, 0, -180]}
     path = plan_with(tmp_path, {"field_of_view": IN_CAMERA, "noise_mm": [0.01, 0.01, 0.02]}, hand_eye=away, exposures=1)
-    _, run, poses = scatter(path, tmp_path / "a")
+    _, found, poses = scatter(path, tmp_path / "a")
     assert [p.xyz[:, 2].mean() for p in poses] == pytest.approx([-452] * 3, abs=8)
-    assert mbcacq.load_observations(run.folder).n_poses == 3
+    assert found.n_poses == 3
 
 
 def test_an_exposure_takes_the_plan_s_scan_time_on_the_simulated_clock(tmp_path):
@@ -126,4 +126,4 @@ def test_fakes_of_a_scanner_without_one_point_to_the_dry_run(tmp_path):
 
 def test_a_positioner_of_another_driver_is_a_person_in_a_dry_run(tmp_path):
     path = plan_with(tmp_path, {}, positioner={"driver": "turntable", "options": {"address": "10.0.0.3"}}, exposures=1)
-    assert mbcacq.load_observations(mbcacq.run(path, dry_run=True, out=tmp_path / "run").folder).n_poses == 3
+    assert recorded(path, tmp_path / "run").n_poses == 3

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-import yaml
+from dry_runs import plan_file, recorded, ur10
 from mbcacq_fakes.protocols.rtde import FakeUrController
 from mbcacq_fakes.protocols.rtde.controller import WATCHDOG_S, start_in_cell
 from mbcacq_fakes.protocols.stall import STALL_S
@@ -14,7 +14,6 @@ from mbcacq_ur import wire
 from mbcacq_ur.driver import UrRtdeRobot
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MotionLimits, ProtocolError, SafetyStop
-from mbcacq.model import shipped
 
 HOME_DEG = np.array([0.0, -90, 90, -90, -90, 0])
 LIMITS = MotionLimits(*(np.radians(np.full(6, v)) for v in (60.0, 200.0, 2000.0)), settle_s=0.05)
@@ -164,23 +163,8 @@ def test_the_controller_s_program_carries_version_and_payload():
 
 
 def test_a_dry_run_drives_it_over_rtde(tmp_path):
-    import mbcacq
-
-    folder = shipped.folder()
-    plan = yaml.safe_load((folder / "quick.yaml").read_text(encoding="utf-8"))
-    plan["robot"] = {
-        "driver": "ur_rtde",
-        "model": str(folder / "robots" / "ur10.yaml"),
-        "options": {"address": "192.168.0.10", "payload_kg": 1.5},
-    }
-    plan["robot"]["home_deg"] = [0, -90, -90, -90, 90, 0]
-    plan["artefacts"] = [str(folder / a) for a in plan["artefacts"]]
-    plan["stations"][0]["pose_in_base"] = {"translation_mm": [-800, -150, 200]}
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:3]}]
-    path = tmp_path / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan))
-    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
-    assert mbcacq.load_observations(done.folder).n_poses == 3
+    change = ur10("ur_rtde", {"address": "192.168.0.10", "payload_kg": 1.5})
+    assert recorded(plan_file(tmp_path, change), tmp_path / "run").n_poses == 4
 
 
 def held_once(robot, seconds):

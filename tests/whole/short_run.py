@@ -1,9 +1,9 @@
-"""A run of four poses in this process, hurt at a chosen event."""
+"""A run of four poses in this process, each seen once, hurt at a chosen event."""
 
 import time
 
 import numpy as np
-from typed_command import plan_file
+from dry_runs import few_views, plan_file
 
 from mbcacq.acquisition import events
 from mbcacq.devices import load_driver
@@ -15,7 +15,7 @@ from mbcacq.workflow import acquire
 
 
 def short(plan):
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
+    few_views(plan)
     plan["scanner"] |= {"reconnect_s": 20.0}
     plan["scanner"]["options"] |= {"timeout_s": 1.5, "retries": 0}
     plan["sensors"] = [

@@ -10,8 +10,9 @@ import termios
 import time
 
 import pytest
+from dry_runs import few_views, plan_file
 from terminal_session import Terminal
-from typed_command import MBCACQ, mbcacq, one_sentence, plan_file
+from typed_command import MBCACQ, mbcacq, one_sentence
 
 from mbcacq.devices.addresses import on_loopback_only
 
@@ -100,7 +101,7 @@ def test_the_sentence_names_what_will_move_and_must_be_typed(tmp_path, typed, co
 
 
 def test_a_stepped_run_waits_before_each_pose_until_it_is_let_go(tmp_path):
-    terminal = Terminal("run", plan_file(tmp_path, lambda plan: None), "--dry-run", "--step", "--out", tmp_path / "run")
+    terminal = Terminal("run", plan_file(tmp_path, few_views), "--dry-run", "--step", "--out", tmp_path / "run")
     terminal.wait_for("next: pose 0 (")
     journal = tmp_path / "run" / "journal.jsonl"
     time.sleep(0.5)
@@ -124,7 +125,7 @@ def test_a_stepped_run_hears_ctrl_c_even_where_its_parent_ignored_it(tmp_path):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
 
-    words = [MBCACQ, "run", plan_file(tmp_path, lambda plan: None), "--dry-run", "--step", "--out", tmp_path / "run"]
+    words = [MBCACQ, "run", plan_file(tmp_path, few_views), "--dry-run", "--step", "--out", tmp_path / "run"]
     process = subprocess.Popen(
         list(map(str, words)), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True, preexec_fn=at_the_keyboard
     )

@@ -1,10 +1,12 @@
 """Whole runs with motorised positioners and sensors that the plan describes, on the wire: Modbus TCP and RTU, serial terminals."""
 
 import csv
-import json
 
 import pytest
-from typed_command import mbcacq, plan_file
+from dry_runs import plan_file, recorded
+from typed_command import mbcacq
+
+from mbcacq.recording.run_folder.gaps import find_gaps
 
 SERIAL = {
     "driver": "serial",
@@ -60,9 +62,8 @@ def test_temperatures_and_a_motorised_stand_reach_the_observation_set(tmp_path, 
         plan["fake"] = {"climate": {"time_scale": 200.0}}
 
     run = tmp_path / "run"
-    done = mbcacq("run", plan_file(tmp_path, change), "--dry-run", "--out", run, "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["gaps"] == []
+    recorded(plan_file(tmp_path, change), run)
+    assert find_gaps(run) == []
     assert mbcacq("export", run, "--observations", tmp_path / "set").returncode == 0
     with (tmp_path / "set" / "poses.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dry_runs import plan_file
 from mbcacq_fakes.world.arm import TrueArm, paper_errors
-from typed_command import ROOT, mbcacq, one_sentence, plan_file
+from typed_command import ROOT, mbcacq, one_sentence
 
 import mbcacq as library
 from mbcacq.calibration.sealed_json import sealed_text

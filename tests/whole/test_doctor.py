@@ -5,7 +5,8 @@ import os
 import socket
 
 import pytest
-from typed_command import mbcacq, plan_file
+from dry_runs import plan_file
+from typed_command import mbcacq
 
 from mbcacq.doctor import from_error
 from mbcacq.errors import ConnectError

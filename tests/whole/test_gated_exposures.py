@@ -8,12 +8,16 @@ from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.run_folder.gaps import find_gaps
 
 
+def twice(plan):
+    plan["exposures"] = 2
+
+
 def largest_scatter_mm(folder):
     return max(float(np.max(row["scatter_mm"])) for row in Recording(folder / "run.rrd").observed())
 
 
 def test_a_flipped_bit_in_a_scan_header_costs_one_exposure(tmp_path):
-    error, folder = run_with(tmp_path, lambda cell: cell.faults.scanner("shifted_surface", times=1))
+    error, folder = run_with(tmp_path, lambda cell: cell.faults.scanner("shifted_surface", times=1), twice)
     assert error is None
     readable(folder, [0, 1, 2, 3], "success")
     assert "differ by 0.5" in "; ".join(find_gaps(folder))
@@ -24,7 +28,7 @@ def test_an_artefact_bumped_between_two_exposures_is_named(tmp_path):
     def bump(cell):
         cell.faults.mishap("bumped_tripod", station="p1", shift_mm=(0.5, 0, 0), rotation_deg=(0, 0, 0))
 
-    error, folder = run_with(tmp_path, bump, at=(events.ScanTaken, 2))
+    error, folder = run_with(tmp_path, bump, twice, at=(events.ScanTaken, 2))
     assert error is None
     gaps = "; ".join(find_gaps(folder))
     assert "pose 2: its exposures differ by 0.5" in gaps

@@ -7,9 +7,10 @@ import sys
 import time
 
 import pytest
+from dry_runs import plan_file
 from listeners import bound
 from mbcacq_fakes.cell.ports import free_port
-from typed_command import MBCACQ, ROOT, plan_file
+from typed_command import MBCACQ, ROOT
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux which sockets are bound")
 

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
+from dry_runs import few_views, plan_file
 from test_run import MBCACQ, ROOT, mbcacq, one_sentence, until
-from typed_command import few_views, plan_file
 
 from mbcacq.cli.app import refused_by_the_system
 
@@ -45,7 +45,8 @@ def test_two_gigabytes_of_addresses_and_64_files_are_enough_for_a_run_to_its_rep
 
 
 def test_a_report_is_whole_or_refused_where_few_files_may_be_open(tmp_path):
-    assert mbcacq("simulate", ROOT / "plans" / "quick.yaml", "--noise", "--out", tmp_path / "set").returncode == 0
+    plan = plan_file(tmp_path, few_views)
+    assert mbcacq("simulate", plan, "--noise", "--out", tmp_path / "set").returncode == 0
     for files in (64, 24):
         page = tmp_path / f"{files}.html"
         done = subprocess.run(

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from dry_runs import plan_file
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, until
 
 from mbcacq.recording import load_observations
 from mbcacq.recording.rrd import layout
@@ -81,39 +82,32 @@ def equal(run, whole):
     np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)  # the mean over another number of equal cycles
 
 
-@pytest.mark.parametrize("kills", [((2, 0.07),), ((0, 0.0), (4, 0.13))], ids=["once", "twice"])
-def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path, kills):
-    """Once after two poses; and before the first, resumed, and again after four."""
+def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path):
+    """Killed before the first pose, resumed, killed after two, resumed, killed after four."""
     plan, whole = undisturbed
-    run = tmp_path / "run"
+    run, kills = tmp_path / "run", ((0, 0.0), (2, 0.07), (4, 0.13))
     for poses, then_s in kills:
-        killed_after(plan, run, poses, then_s)
-    if len(kills) > 1:  # a recovery in between changes nothing
-        assert mbcacq("recover", run).returncode == 0
-        assert load_observations(run).n_poses >= poses
-        assert poses <= len(poses_done(run)) < 7
-        assert any("of 7 planned poses were not measured" in gap for gap in find_gaps(run))
+        used = killed_after(plan, run, poses, then_s)
+    if Path("/dev/shm").is_dir():  # shared memory as files: it does use some, and leaves nothing there
+        assert used
+        assert not used & set(os.listdir("/dev/shm"))
+    assert mbcacq("recover", run).returncode == 0  # a recovery in between changes nothing
+    assert load_observations(run).n_poses >= poses
+    assert poses <= len(poses_done(run)) < 7
+    assert any("of 7 planned poses were not measured" in gap for gap in find_gaps(run))
     resumed = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
     assert resumed.returncode == 0, resumed.stderr
     equal(run, whole)
     gaps = json.loads(resumed.stdout)["gaps"]
     assert 1 <= len(gaps) <= len(kills)  # the first kill may have come before there was anything to interrupt
     assert all("interrupted" in gap and "killed" in gap for gap in gaps)
-    if len(layout.parts(run)) > 1:  # the parts are one recording, and one recording id
-        merged = run / "whole.rrd"
-        assert sorted({int(row["pose"][0]) for row in Recording(merged).observed()}) == list(range(7))
-        assert len({Recording(path).recording_id for path in (*layout.parts(run), merged)}) == 1
-    if len(kills) == 1:
-        again = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
-        assert again.returncode == 0
-        assert "nothing moves" in again.stderr
-
-
-@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory as files here")
-def test_a_run_killed_with_its_children_leaves_nothing_in_shared_memory(undisturbed, tmp_path):
-    used = killed_after(undisturbed[0], tmp_path / "run", 1)
-    assert used  # it does use some
-    assert not used & set(os.listdir("/dev/shm"))
+    parts, merged = layout.parts(run), run / "whole.rrd"  # the parts are one recording, and one recording id
+    assert len(parts) > 1
+    assert sorted({int(row["pose"][0]) for row in Recording(merged).observed()}) == list(range(7))
+    assert len({Recording(path).recording_id for path in (*parts, merged)}) == 1
+    again = mbcacq("run", plan, "--dry-run", "--resume", run, "--json")
+    assert again.returncode == 0
+    assert "nothing moves" in again.stderr
 
 
 def torn(whole, run, keep):

@@ -7,7 +7,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
+from dry_runs import few_views, plan_file
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, until
 
 
 @pytest.mark.parametrize("command", [["schema"], ["drivers", "--json"]])
@@ -100,8 +101,9 @@ def test_unreachable_pose_names_step_and_line(tmp_path):
 
 def test_wrong_artefact_in_view_loses_nothing(tmp_path):
     def change(plan):
+        few_views(plan)
         plan["artefacts"].append(str(ROOT / "plans" / "artefacts" / "bar-735.yaml"))
-        plan["fake"] = {"mishaps": [{"kind": "wrong_artefact", "station": "p1", "artefact": "bar", "from_arrival": 4}]}
+        plan["fake"] = {"mishaps": [{"kind": "wrong_artefact", "station": "p1", "artefact": "bar", "from_arrival": 3}]}
 
     done = mbcacq("run", plan_file(tmp_path, change), "--dry-run", "--out", tmp_path / "run")
     assert done.returncode == 4, done.stderr

@@ -3,9 +3,10 @@
 import subprocess
 
 import pytest
+from dry_runs import plan_file
 from mbcacq_fakes.cell.ports import free_port
 from terminal_session import Terminal
-from typed_command import MBCACQ, plan_file
+from typed_command import MBCACQ
 
 
 @pytest.fixture
@@ -19,6 +20,7 @@ def plan(tmp_path):
         plan["stations"].append(second)
         plan["steps"][1]["stations"] = ["p2"]
         plan["exposures"] = 1
+        plan["steps"][0]["offsets_mm"] = plan["steps"][0]["offsets_mm"][:1]
         plan["steps"][1]["views"] = plan["steps"][1]["views"][:3]
 
     return plan_file(tmp_path, change)

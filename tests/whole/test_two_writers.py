@@ -2,7 +2,8 @@
 
 import subprocess
 
-from typed_command import MBCACQ, ROOT, few_views, mbcacq, one_sentence, plan_file, until
+from dry_runs import few_views, plan_file
+from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, until
 
 
 def test_a_run_that_goes_on_cannot_be_resumed_by_another_process(tmp_path):

@@ -1,4 +1,4 @@
-"""The command as a user types it, a shipped plan with a change, and the one sentence in which a command fails."""
+"""The command as a user types it, and the one sentence in which a command fails."""
 
 import sys
 import time
@@ -6,7 +6,6 @@ from contextlib import chdir
 from pathlib import Path
 from types import SimpleNamespace
 
-import yaml
 from click.testing import CliRunner
 
 from mbcacq.cli.app import app
@@ -28,23 +27,6 @@ def until(condition, within_s=900.0):
     while not condition():
         assert time.monotonic() < deadline, "it never happened"
         time.sleep(0.01)
-
-
-def plan_file(folder, change, name="quick.yaml"):
-    """A shipped plan with a change, its files named from where it now lies."""
-    plan = yaml.safe_load((ROOT / "plans" / name).read_text())
-    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
-    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    change(plan)
-    path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False))
-    return path
-
-
-def few_views(plan):
-    """Where it matters that a run is whole, and not how much it measures: four poses, each seen once."""
-    plan["exposures"] = 1
-    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
 
 
 def one_sentence(done):
