@@ -99,8 +99,8 @@ def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     assert reported.effects[0].held_out_gain > 0.9
 
 
-def test_a_pulling_hose_is_not_reported_as_a_wrist_coupling(plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 122, [hose_that_pulls_joint_five])))
+def test_a_pulling_hose_is_not_reported_as_a_wrist_coupling(medium_plan):
+    found = model_fit.fit_model(model_fit.prepare(simulated.observe(medium_plan, 122, [hose_that_pulls_joint_five])))
 
     assert "wrist_coupling" not in found.model.names
     assert (found.cells[0].location, found.cells[0].depends_on) == ("A5", "q6")
@@ -114,8 +114,8 @@ def pull_on_joint_five_where_five_and_six_meet(s):
     return Displacements(joint=joint)
 
 
-def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_by_functions_of_one(plan, monkeypatch):
-    setup = model_fit.prepare(simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet]))
+def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_by_functions_of_one(medium_plan, monkeypatch):
+    setup = model_fit.prepare(simulated.observe(medium_plan, 125, [pull_on_joint_five_where_five_and_six_meet]))
 
     def squares_removed():
         found = model_fit.fit_model(setup)
@@ -132,8 +132,8 @@ def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_b
     assert of_one < 0.7
 
 
-def test_what_a_process_describes_is_kept_for_other_places(plan):
-    observed = simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet])
+def test_what_a_process_describes_is_kept_for_other_places(medium_plan):
+    observed = simulated.observe(medium_plan, 125, [pull_on_joint_five_where_five_and_six_meet])
     elsewhere = np.isin(observed.station, np.unique(observed.station)[::3])
     learnt_from = observed.select(~elsewhere)
 
