@@ -10,7 +10,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def plan():
-    """66 poses at seven places of an artefact and four of a bar: as few as show what most tests of this folder state."""
+    """48 poses at six places of an artefact and two of a bar: as few as show what most tests of this folder state."""
+    import simulated
+
+    return simulated.plan(6, 2, 6)
+
+
+@pytest.fixture(scope="session")
+def medium_plan():
+    """66 poses, for effects of two angles, for what is judged on places left out, and for noise that differs between poses."""
     import simulated
 
     return simulated.plan(7, 4, 6)

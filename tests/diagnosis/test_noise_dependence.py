@@ -49,12 +49,12 @@ def test_each_pose_gets_its_own_noise(large_plan):
     np.testing.assert_allclose(one.scale, true / np.exp(np.mean(np.log(true))), rtol=0.25)
 
 
-def test_an_arm_that_sways_at_reach_is_no_noisier_instrument(plan):
+def test_an_arm_that_sways_at_reach_is_no_noisier_instrument(medium_plan):
     def sways(context):
         rng, size = np.random.default_rng(4), 1e-5 + 1e-4 * farther(context.obs)
         return Displacements(joint=rng.normal(size=context.obs.q.shape) * size[:, None])
 
-    found = noise_variations(fit_model(prepare(simulated.observe(plan, 9, [sways]))))
+    found = noise_variations(fit_model(prepare(simulated.observe(medium_plan, 9, [sways]))))
     assert [one.entry.of for one in found] == [ALL]
 
 

@@ -61,8 +61,8 @@ def test_recordings_of_different_arms_are_refused(plan):
         prepare([simulated.observe(plan, 1), simulated.observe(other, 2)])
 
 
-def test_what_differs_from_day_to_day_is_no_more_certain_than_that(plan):
-    days = [simulated.observe(plan, 400 + day, [("joint_compliance", ("A2",), [4e-6], None)], arm=7) for day in range(2)]
+def test_what_differs_from_day_to_day_is_no_more_certain_than_that():
+    days = [simulated.observe(simulated.plan(4, 2, 6), 400 + day, [("joint_compliance", ("A2",), [4e-6], None)], arm=7) for day in range(2)]
     key = "A2.compliance_rad_per_Nm"
 
     found = diagnose(days, folds=2)

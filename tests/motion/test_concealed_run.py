@@ -16,14 +16,14 @@ from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.effects.effect import label_of
 from mbcacq.plan import expand, load
 
-FURTHER_KG, SEED, POSES = 15.0, 3, 36
+FURTHER_KG, SEED, POSES = 15.0, 3, 30
 CONCEALED = {"payload:mount", "gravity_compensator:A2", "backlash:A4", "joint_compliance:A2", "joint_compliance:A3"}
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    mbcacq.new_plan("kr210_r2700_2", "gocator-3210", "mbc-8", folder / "plan.yaml", mbcacq.NewPlanOptions(poses=68))
+    mbcacq.new_plan("kr210_r2700_2", "gocator-3210", "mbc-8", folder / "plan.yaml", mbcacq.NewPlanOptions(poses=40))
     plan = yaml.safe_load((folder / "plan.yaml").read_text(encoding="utf-8"))
     plan["robot"]["payload"] = {"mass_kg": DECLARED_KG, "com_mm": DECLARED_COM_MM.tolist()}
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan), encoding="utf-8")
@@ -32,7 +32,7 @@ def found(tmp_path_factory):
     at_rest, moving = faults(loaded.cell.robot, FURTHER_KG)
     observed = observed_poses(loaded, poses, at_rest, SEED)
     alone = diagnose(observed, folds=2)
-    motion = diagnose_trajectories(recorded_moves(loaded, narrow, moving, SEED), cross_validation=False)
+    motion = diagnose_trajectories(recorded_moves(loaded, narrow, moving, SEED, speed_share=0.3), cross_validation=False)
     given = evidence_given(observed, PosesAndMotion(alone, motion).given_by_motion)
     assert given is not None
     return PosesAndMotion(alone, motion, given.evidence)

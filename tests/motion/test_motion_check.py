@@ -9,7 +9,7 @@ from mbcacq.diagnosis.motion.diagnose import check_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.errors import ConfigError
 
-FRICTION = {"coulomb": 5.0, "compliance": 1e-5, "seconds": 6.0}
+FRICTION = {"coulomb": 5.0, "compliance": 1e-5, "seconds": 4.0}
 
 
 def left(checks):

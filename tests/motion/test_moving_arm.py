@@ -24,7 +24,7 @@ def kr10():
     return RobotSpec.model_validate(yaml.safe_load(shipped.robot_file("kr10_r1100_2").read_text())).model()
 
 
-def diagnosed(robot, injected, seed=7, seconds=6.0):
+def diagnosed(robot, injected, seed=7, seconds=4.0):
     recordings = [recorded(robot, injected, seed, motion, seconds) for motion in (0, 1)]
     trajectories = [Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque) for r in recordings]
     return diagnose_trajectories(trajectories, cross_validation=False), recordings[0].truth
@@ -40,7 +40,7 @@ def test_two_engines_hold_the_same_weight(kr10):
 
 
 def test_an_arm_as_described_shows_nothing(kr10):
-    diagnosis, _ = diagnosed(kr10, [])
+    diagnosis, _ = diagnosed(kr10, [], seconds=6.0)
     assert diagnosis.verdict == "none"
     assert diagnosis.effects == ()
 
