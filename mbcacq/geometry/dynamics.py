@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
 
 STATED_SHARE = 0.1  # by which public masses and centres of gravity are off
 LEAST_TOOL_KG, TOOL_SHARE = 1.0, 0.2  # prior sigma of an undescribed tool: robots carry up to a fifth of their own mass
 TOOL_LEVER_M, TOOL_RADIUS_M = 0.2, 0.15  # prior sigma of its centre of gravity, and of its radius of gyration
-NEXT, AFTER = [1, 2, 0], [2, 0, 1]  # of a component of a vector
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
@@ -33,23 +33,18 @@ def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, grav
     for link in range(n):
         # The axis is z of the frame before the link; everything is then turned into the link's own frame.
         rate, jolt = (chain.sign[link] * qd[:, link])[:, None] * axis, (chain.sign[link] * qdd[:, link])[:, None] * axis
-        alpha = alpha + jolt + _cross(omega, rate)
+        alpha = alpha + jolt + se3.cross(omega, rate)
         omega = omega + rate
         lever = t[:, link]
-        acceleration = acceleration + _cross(alpha, lever) + _cross(omega, _cross(omega, lever))
+        acceleration = acceleration + se3.cross(alpha, lever) + se3.cross(omega, se3.cross(omega, lever))
         back = np.swapaxes(R[:, link], -1, -2)
         omega, alpha, acceleration = (np.einsum("tij,tj->ti", back, v) for v in (omega, alpha, acceleration))
         force, moment = _wrench(omega, alpha, acceleration)
         for joint in range(link, -1, -1):
             force = R[:, joint] @ force
-            moment = R[:, joint] @ moment + _cross(t[:, joint, :, None], force)
+            moment = R[:, joint] @ moment + se3.skew(t[:, joint]) @ force
             out[:, joint, link] = chain.sign[joint] * moment[:, 2]
     return out
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of vectors along the second axis; in a third of the time of ``np.cross``, which is made for any axis."""
-    return a[:, NEXT] * b[:, AFTER] - a[:, AFTER] * b[:, NEXT]
 
 
 def _wrench(omega: np.ndarray, alpha: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,13 +54,13 @@ def _wrench(omega: np.ndarray, alpha: np.ndarray, acceleration: np.ndarray) -> t
     force[:, :, 0] = acceleration
     for k in range(3):
         unit = np.broadcast_to(np.eye(3)[k], (T, 3))
-        force[:, :, 1 + k] = _cross(alpha, unit) + _cross(omega, _cross(omega, unit))
-        moment[:, :, 1 + k] = _cross(unit, acceleration)
+        force[:, :, 1 + k] = se3.cross(alpha, unit) + se3.cross(omega, se3.cross(omega, unit))
+        moment[:, :, 1 + k] = se3.cross(unit, acceleration)
     for k, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), start=4):
         tensor = np.zeros((3, 3))
         tensor[i, j] = tensor[j, i] = 1.0
         spin = omega @ tensor
-        moment[:, :, k] = alpha @ tensor + _cross(omega, spin)
+        moment[:, :, k] = alpha @ tensor + se3.cross(omega, spin)
     return force, moment
 
 
