@@ -211,6 +211,6 @@ def test_a_joint_that_stands_in_a_recording_does_not_change_its_friction():
 )
 def test_recordings_without_any_noise_are_diagnosed(fault, expected, validated):
     """Another simulator's own output: the residual is zero to rounding, and what it holds is found all the same."""
-    result = diagnose_trajectories([recording(k, noise=False, seconds=3.0, **fault) for k in (1, 2)], cross_validation=validated)
+    result = diagnose_trajectories([recording(k, noise=False, seconds=6.0, **fault) for k in (1, 2)], cross_validation=validated)
     assert expected <= named(result)
     assert all(np.isfinite(fit.held_out.after_rms) for fit in result.fit.channels)
