@@ -31,7 +31,8 @@ def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
     by_segment = inverse @ (_spread_of_scores(store, weights, chosen, x) + known) @ inverse
     coloured = inverse @ (_spectral(store, weights, chosen, x, correlation_s) + known) @ inverse
     least = np.maximum(np.maximum(np.diag(white), np.diag(by_segment)), np.diag(coloured))
-    coloured[np.diag_indices_from(coloured)] += 1e-9 * least + 1e-300  # of a residual that is zero to rounding there is no spectrum
+    # Of a residual that is zero to rounding there is no spectrum, and a variance may come out negative.
+    coloured[np.diag_indices_from(coloured)] = np.maximum(np.diag(coloured), 0.0) + 1e-9 * least + 1e-300
     grow = np.sqrt(least / np.diag(coloured))
     return coloured * np.outer(grow, grow)
 
