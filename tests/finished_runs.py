@@ -1,5 +1,6 @@
 """What is costly to make and only looked at, such as whole dry runs: made once, by the first process of the suite that needs it."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -43,17 +44,22 @@ class FinishedRun:
         return (self.desk / "stderr").read_text()
 
 
-# The fake controller sends a telegram each 12 ms of a motion: at full speed there are a third as many, and as many poses.
-AT_FULL_SPEED = (("speed: 0.3", "speed: 1.0"), ("exposures: 3", "exposures: 1"))
+def at_full_speed(plan: Path, speed: float = 1.0, exposures: int = 1, scan_time_s: float = 0.1) -> None:
+    """Change a plan to as many poses in less time: a fake controller sends a telegram each few ms, of a motion or of standing still."""
+    text = plan.read_text(encoding="utf-8")
+    for key, value in (("  speed", speed), ("  scan_time_s", scan_time_s), ("exposures", exposures)):
+        text, changed = re.subn(rf"^({key}:) [\d.]+", rf"\1 {value}", text, flags=re.MULTILINE)
+        assert changed == 1, f"{plan} has {key} {changed} times"
+    plan.write_text(text, encoding="utf-8")
 
 
 def dry_run(desk: Path, plan: str) -> None:
-    """Type ``mbcacq run plans/PLAN --dry-run`` on a desk with the shipped plans; that of kuka.yaml runs at full speed."""
+    """Type ``mbcacq run plans/PLAN --dry-run`` on a desk with the shipped plans; what takes long runs at full speed."""
     shutil.copytree(ROOT / "plans", desk / "plans")
-    for usual, faster in AT_FULL_SPEED if plan == "kuka.yaml" else ():
-        text = (desk / "plans" / plan).read_text(encoding="utf-8")
-        assert text.count(usual) == 1
-        (desk / "plans" / plan).write_text(text.replace(usual, faster), encoding="utf-8")
+    if plan == "kuka.yaml":
+        at_full_speed(desk / "plans" / plan)
+    elif plan == "concealed.yaml":  # its scanner warms up by the clock
+        at_full_speed(desk / "plans" / plan, scan_time_s=1.0)
     typed(desk, "run", f"plans/{plan}", "--dry-run")
 
 

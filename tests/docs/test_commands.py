@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from doc_pages import ROOT, Page, pages
-from finished_runs import FinishedRun
+from finished_runs import FinishedRun, at_full_speed
 from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.recording.rrd import rerun_program
@@ -41,11 +41,13 @@ def desk(tmp_path: Path) -> Path:
     text = quick.read_text(encoding="utf-8").replace("port: 49152", f"port: {free_port()}")
     ports = ", ".join(f"{name}_port: {free_port()}" for name in ("control", "health", "data"))
     quick.write_text(text.replace("options: {address: 127.0.0.1}", f"options: {{address: 127.0.0.1, {ports}}}"), encoding="utf-8")
+    ur = tmp_path / "plans" / "ur.yaml"  # as many poses, with fewer packages for each
+    ur.write_text(ur.read_text(encoding="utf-8").replace("{address: 127.0.0.1}   #", "{address: 127.0.0.1, frequency_hz: 40}   #"))
     for name in ("ur", "folder", "folder-output", "opcua"):  # that each pose comes to its cloud is the fact, not how large or how slow
         plan = tmp_path / "plans" / f"{name}.yaml"
-        fast = re.sub(r"^  speed: 0\.25", "  speed: 1.0", plan.read_text(encoding="utf-8"), flags=re.MULTILINE)
-        once = re.sub(r"^exposures: \d+", "exposures: 1", fast, flags=re.MULTILINE)
-        plan.write_text(f"{once}\nfake: {{pitch_mm: 1.0}}\n", encoding="utf-8")
+        at_full_speed(plan, speed=0.5)
+        with plan.open("a", encoding="utf-8") as end:
+            end.write("\nfake: {pitch_mm: 1.0}\n")
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
     bin = tmp_path / ".venv" / "bin"
@@ -77,11 +79,10 @@ DRY_RUN = re.compile(r"^(?:\.venv/bin/)?mbcacq run plans/((?:quick|kuka|conceale
 
 DIAGNOSED = re.compile(r"^(?:\.venv/bin/)?mbcacq diagnose runs/concealed --calibrate$")
 
-# The cell of this page goes by the clock: it moves faster than the plan's arm does, and exposes once.
-OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"
-FASTER = (
-    "sed -i 's/^  speed: .*/  speed: 1.0/; s/^  scan_time_s: .*/  scan_time_s: 0.1/; s/^exposures: .*/exposures: 1/' plans/my-cell.yaml"
-)
+# These pages make a plan of their own; its arm moves faster and its scanner takes less time, with as many poses.
+FASTER = "sed -i -e 's/^  speed: .*/  speed: 1.0/; s/^  scan_time_s: .*/  scan_time_s: 0.1/'"
+OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"  # goes by the clock, and exposes once
+NEW_PLAN_OF_A_KUKA = "mbcacq plan new --robot kr6_r900_2"
 
 # That a plan of this arm comes of it is the fact, not for how many places.
 NEW_PLAN, FEW = "mbcacq plan new --robot ur10e", "--stations 3 --poses 12"
@@ -97,7 +98,9 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], di
         if line.strip() == "sleep 2":  # stands for: until the fake cell says that it is up
             lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
         elif line.strip() == OWN_CELL:
-            lines.append(f"{OWN_CELL} && {FASTER}")
+            lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' plans/my-cell.yaml")
+        elif line.startswith(NEW_PLAN_OF_A_KUKA):
+            lines.append(f"{line} && {FASTER} plan.yaml")
         elif line.startswith(NEW_PLAN):
             lines.append(f"{line} {FEW}")
         elif INVESTIGATION.match(line.strip()):

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from math import radians
 
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
+from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
 from mbcacq_fakes.protocols.krc.encoders import Encoders
@@ -25,10 +26,6 @@ from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 _TURN = 1 << 32  # the counter has 32 bits
 _LONGEST_S = 0.05  # of one wait for an answer: whoever started this may be gone
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
-_IDLE = (
-    (1.0, 0.004),
-    (0.35, 0.002),
-)  # lock-step: after standing still so long (robot s), sleep so long a cycle; a scan needs the processor
 
 
 def _zero() -> Sequence[float]:
@@ -155,11 +152,8 @@ class RsiController:
         if not self._session.active or self._missed:
             time.sleep(self._cycle_s)
             return
-        still_s = self._arm.still_cycles * self._cycle_s
-        for longer_than, sleep_s in _IDLE:
-            if still_s > longer_than:
-                time.sleep(sleep_s)
-                return
+        if sleep_s := idle_s(self._arm.still_cycles * self._cycle_s):
+            time.sleep(sleep_s)
 
     def _telegram(self, ipoc: int, moved: bool) -> bytes:
         if self._empty_sent < self._settings.empty_first:

@@ -14,10 +14,11 @@ LED_RAD_S = 1.0  # by a person, or by its own program
 
 
 class ProgrammedArm:
-    """q, qd: (6,) rad, rad/s. taken: number of the command that was taken up. state: gets what the arm does, or None."""
+    """q, qd: (6,) rad, rad/s. taken: number of the command that was taken up. still_s: since it stands still, by its own clock. state: gets
+    what the arm does, or None."""
 
     def __init__(self, start_deg: Sequence[float], state: Any, clock_s: float) -> None:
-        self.q, self.qd, self.time_s = np.radians(np.array(start_deg, dtype=float)), np.zeros(6), clock_s
+        self.q, self.qd, self.time_s, self.still_s = np.radians(np.array(start_deg, dtype=float)), np.zeros(6), clock_s, 0.0
         self.taken, self._arrivals, self._direction = 0, 0, np.zeros(6)
         self._state, self._motion, self._since = state, None, 0.0
         self.publish()
@@ -60,6 +61,7 @@ class ProgrammedArm:
 
     def advance(self, seconds: float) -> None:
         self.time_s += seconds
+        self.still_s = 0.0 if self.moving else self.still_s + seconds
         if self._motion is not None:
             self._since = min(self._since + seconds, self._motion.duration)
             position, speed, _ = self._motion.at_time(self._since)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import refuse_unknown
+from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.one_client_server import OneClientServer
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
@@ -155,6 +156,8 @@ class _Conversation:
             by_clock = self._taken is None or self._controller.realtime
             now = time.monotonic()
             if self._started and (now >= self._due if by_clock else self._answered):
+                if not by_clock and (sleep_s := idle_s(self._controller.arm.still_s)):
+                    time.sleep(sleep_s)
                 hurried = HURRIED if self._controller.led and not self._controller.realtime else 1.0
                 self._due, self._answered = now + 1.0 / (hurried * self._rate), False
                 self._controller.advance(1.0 / self._rate)
