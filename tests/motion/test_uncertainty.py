@@ -69,3 +69,20 @@ def test_a_coefficient_of_a_column_that_is_zero_has_a_variance_beyond_any_size_a
         one, other = (stated(store, weights, chosen, store.solve(store.normal(weights), chosen)) for chosen in (alone, both))
         assert other[-2, -2] == pytest.approx(one[-1, -1], rel=1e-6)
         assert 1e100 < other[-1, -1] < np.inf
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nearly_dependent_columns_that_leave_nothing_have_a_covariance(seed):
+    """Sines on a slope ten thousand times as large: their residual is rounding, which makes no variance negative and no correlation beyond one."""
+    rng = np.random.default_rng(seed)
+    columns = np.sin(np.outer(TIME, rng.uniform(0.2, 3.0, 8)))
+    columns[:, 1:] += 1e4 * columns[:, :1]
+    mismatch = columns @ rng.normal(size=8)
+    store = normal_store(mismatch)
+    chosen = np.concatenate([store.base, *(store.add([0], [column[:, None]], None) for column in columns.T)]).astype(int)
+    weights = np.array([1.0 / np.mean(mismatch**2)])
+    for stated in (sandwich_covariance, lambda *of: covariance(*of, NUMBERS.correlation_s)):
+        C = stated(store, weights, chosen, store.solve(store.normal(weights), chosen))
+        assert np.diag(C).min() > 0
+        std = np.sqrt(np.diag(C))
+        assert np.linalg.eigvalsh(C / np.outer(std, std)).min() > -1e-9

@@ -28,23 +28,36 @@ def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
     inverse = _inverse(store, weights, chosen)
     known = np.diag(1.0 / np.array(store.prior)[chosen] ** 2)
     white = inverse * max(_chi2_dof(store, weights, chosen, x), 1.0)
-    by_segment = inverse @ (_spread_of_scores(store, weights, chosen, x) + known) @ inverse
-    coloured = inverse @ (_spectral(store, weights, chosen, x, correlation_s) + known) @ inverse
+    by_segment = _propagated(inverse, _spread_of_scores(store, weights, chosen, x) + known)
+    coloured = _propagated(inverse, _spectral(store, weights, chosen, x, correlation_s) + known)
     least = np.maximum(np.maximum(np.diag(white), np.diag(by_segment)), np.diag(coloured))
-    # Of a residual that is zero to rounding there is no spectrum, and a variance may come out negative.
-    coloured[np.diag_indices_from(coloured)] = np.maximum(np.diag(coloured), 0.0) + 1e-9 * least + 1e-300
-    grow = np.sqrt(least / np.diag(coloured))
-    return coloured * np.outer(grow, grow)
+    # A residual that is zero to rounding has no spectrum: its correlations are those of white noise.
+    coloured += 1e-9 * _with_variances(white, least)
+    return _with_variances(coloured, least)
 
 
 def sandwich_covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(c, c) from segments that count as independent, never less than for white noise; quicker than ``covariance``."""
     inverse = _inverse(store, weights, chosen)
-    robust = inverse @ _spread_of_scores(store, weights, chosen, x) @ inverse
+    robust = _propagated(inverse, _spread_of_scores(store, weights, chosen, x))
     least = np.diag(inverse * max(_chi2_dof(store, weights, chosen, x), 1e-300))
     known = np.maximum(np.diag(robust), 1e-9 * least + 1e-300)
     grow = np.sqrt(np.maximum(least / known, 1.0))
     return robust * np.outer(grow, grow) + np.diag(np.maximum(least - np.diag(robust) * grow**2, 0.0))
+
+
+def _propagated(inverse: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """(c, c) inverse times spread times inverse, as squares of a root of the spread: rounding makes no variance negative."""
+    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    size, direction = np.linalg.eigh(spread / np.outer(scale, scale))
+    root = inverse @ (scale[:, None] * direction * np.sqrt(np.maximum(size, 0.0)))
+    return root @ root.T
+
+
+def _with_variances(matrix: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """A covariance (c, c) with its correlations and these variances (c,)."""
+    grow = np.sqrt(variances / np.diag(matrix))
+    return matrix * np.outer(grow, grow)
 
 
 def _inverse(store: NormalStore, weights: np.ndarray, chosen: np.ndarray) -> np.ndarray:
