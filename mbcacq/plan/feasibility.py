@@ -63,12 +63,12 @@ def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
 def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Accelerations and jerks that the plan asks for and the arm does not allow."""
     wanted, allowed = requested_limits(loaded), axis_limits(loaded)
-    for what, key, unit in (("acceleration", "acceleration_time_s", "°/s²"), ("jerk", "jerk_time_s", "°/s³")):
+    for article, what, key, unit in (("an", "acceleration", "acceleration_time_s", "°/s²"), ("a", "jerk", "jerk_time_s", "°/s³")):
         asked, limit = (np.degrees(getattr(limits, what)) for limits in (wanted, allowed))
         axis = int(np.argmax(asked / limit))
         if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
             line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
-            sentence = f"A{axis + 1} would get a {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
+            sentence = f"A{axis + 1} would get {article} {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
             yield PlanFinding(level="error", code="motion-limits", step="", place=f"{loaded.path}:{line}", sentence=sentence)
 
 
