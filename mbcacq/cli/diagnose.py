@@ -123,6 +123,7 @@ def command(
     """
     import mbcacq
     from mbcacq.effects.catalogue import with_added
+    from mbcacq.recording.rrd.reader import opened_once
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
@@ -130,7 +131,7 @@ def command(
         with with_added(effect_files):
             print_evidence(data, options, out, as_json)
         return
-    with StepProgress() as progress, with_added(effect_files):
+    with StepProgress() as progress, with_added(effect_files), opened_once():
         progress("reading the recording")
         found = mbcacq.diagnose(
             data,

@@ -71,11 +71,12 @@ class CalibratedWithFound:
         """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the
         file. Raises RecordingError where that is impossible."""
         from mbcacq.report.sources.from_result import content_of
-        from mbcacq.report.sources.run_folder import read_run_info
+        from mbcacq.report.sources.run_folder import read_kept_findings
         from mbcacq.workflow.evaluate import show_in_viewer
 
         geometry = self.geometry.to_dict() | {"verification": self.by_geometry.to_dict()}
-        page = content_of(geometry, observations, read_run_info(run))
+        better = read_kept_findings(run).get("with_effects")
+        page = content_of(geometry, None, {"folder": str(run), "with_effects": better})  # of which the viewer shows the verdict alone
         return show_in_viewer(run, observations, self.with_effects or self.geometry, page)
 
 

@@ -50,6 +50,7 @@ def write_report(
     RecordingError
         The file cannot be written, or another process writes in the run folder.
     """
+    from mbcacq.recording.rrd.reader import opened_once
     from mbcacq.recording.run_folder.lock import write_lock
 
     run = None if isinstance(data, CalibratedCell) else Path(data)
@@ -58,7 +59,7 @@ def write_report(
     if out is None and run is not None and run.is_file():
         refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
-    with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext():
+    with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext(), opened_once():
         return _write(data, run, out, diagnose, progress)
 
 
