@@ -162,13 +162,18 @@ def _coupling(drives: Drives, where, size: FaultScale, given):
     return {"ratio": ratio}, [f"A{a + 1}", f"A{b + 1}"]
 
 
+def together(one: tuple[float, np.ndarray], other: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
+    """Mass (kg) and centre of gravity (3,) of two bodies that move as one."""
+    mass = one[0] + other[0]
+    return (mass, (one[0] * one[1] + other[0] * other[1]) / mass) if mass > 0 else one
+
+
 def _payload(drives: Drives, where, size: FaultScale, given):
     mass = given.get("mass_kg", size.about(0.03 * size.torque[1]))
     com = np.asarray(given.get("com_mm", size.rng.uniform([-60, -60, 20], [60, 60, 150])), dtype=float)
     drives.payload = (mass, com)
-    declared, its_com = drives.declared
-    total = declared + mass
-    return {"mass_kg": total, "com_mm": ((declared * its_com + mass * com) / total).tolist()}, ["mount"]
+    total, its_com = together(drives.declared, drives.payload)
+    return {"mass_kg": total, "com_mm": its_com.tolist()}, ["mount"]
 
 
 def _compensator(drives: Drives, where, size: FaultScale, given):

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults, together
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm
-from mbcacq_fakes.dynamics.recorded import together, typical_torque
+from mbcacq_fakes.dynamics.recorded import typical_torque
 
 SPEED = np.radians(60.0)  # of the joints in a typical motion
 PERCENT_AT = 4.0  # a drive at 100 % of its current gives so many times the torque of a typical motion

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults, together
 
 CYCLE_S = 0.004
 FINER = 8  # steps of a drive's lag in one of the arm's
@@ -145,12 +145,6 @@ def fourier(robot: Any, seconds: float, speed: np.ndarray, rng: np.random.Genera
 
 def _read(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return CubicSpline(time, values)(at)
-
-
-def together(one: tuple[float, np.ndarray], other: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
-    """Mass (kg) and centre of gravity (3,) of two bodies that move as one."""
-    mass = one[0] + other[0]
-    return (mass, (one[0] * one[1] + other[0] * other[1]) / mass) if mass > 0 else one
 
 
 def typical_torque(robot: Any, speed: np.ndarray) -> np.ndarray:
