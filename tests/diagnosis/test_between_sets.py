@@ -1,14 +1,17 @@
 """What is stated of an effect over all sets that are not excluded: the moments of the mixture, and sets that change a value."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor, over_sizes
-from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged, is_changed
+from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged, by_effect, is_changed
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
-from mbcacq.effects.effect import ParameterEstimate, PriorOdds
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.effects.effect import ParameterEstimate, PriorOdds, plain_effect
+from mbcacq.effects.functions import DescribedPart, linear
 
 KEY, LABEL = "A2.compliance_rad_per_Nm", "joint_compliance:A2"
 
@@ -39,6 +42,27 @@ def test_an_angle_is_averaged_the_shorter_way_round():
     (found,) = averaged(LABEL, own[LABEL], own, [WeightedSet(1.0, own), WeightedSet(1.0, other)]).values()
     assert found.value == pytest.approx(180.0)
     assert found.std < 2.0
+
+
+def growth(by, per_kelvin):
+    """A link that grows by ``per_kelvin`` of one thermometer, the only effect of its set."""
+    part = DescribedPart("frame", 2, 0, (linear(by),))
+    candidate = plain_effect("thermal_growth", ["link2"], by, [part], {"link2.growth_mm_per_K": 0.02})
+    member = SimpleNamespace(candidate=candidate, hyper=None, label="thermal_growth:link2")
+    return by_effect(EffectSet((member,), np.array([per_kelvin]), np.array([[1e-8]])))
+
+
+def test_what_grows_per_kelvin_of_the_arm_is_not_averaged_with_what_grows_per_kelvin_of_the_air():
+    """The air warms by a seventh of what the arm does: the same growth, seven times the figure."""
+    label, key = "thermal_growth:link2", "link2.growth_mm_per_K"
+    arm, air = growth("robot_C", 0.003), growth("air_C", 0.021)
+    reported = {key: ParameterEstimate(0.003, 1e-4)}
+    alone = averaged(label, reported, arm, [WeightedSet(1.0, arm), WeightedSet(0.5, air)])
+    assert alone[key].value == pytest.approx(0.003)
+    assert alone[key].std == pytest.approx(1e-4)
+    assert not any(is_changed(arm[label], other[label]) for other in (arm, air))
+    both = averaged(label, reported, arm, [WeightedSet(1.0, arm), WeightedSet(1.0, growth("robot_C", 0.005))])
+    assert both[key].value == pytest.approx(0.004)
 
 
 def test_a_value_is_changed_beyond_its_expanded_uncertainty():

@@ -23,6 +23,7 @@ from mbcacq.quantities import K
 
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
 TURN = 360.0
+BY = " by "  # between the name of a parameter per kelvin and its temperature
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
 
 
@@ -103,11 +104,16 @@ def coefficients_over_sizes(hypothesis: Hypothesis) -> EffectSet:
 
 
 def by_effect(solved: EffectSet) -> ByEffect:
-    """What the coefficients of a set state of each effect."""
+    """What the coefficients of a set state of each effect.
+
+    A change per kelvin of the arm is another quantity than one per kelvin of the air: its name is followed by its temperature.
+    """
     each: dict[str, list[Parameters]] = {}
     for member, own in zip(solved.members, solved.slices(), strict=True):
         stated = member.candidate.parameters(solved.coefficients[own], solved.covariance[own, own], member.hyper)
-        each.setdefault(member.label, []).append(stated)
+        cause = member.candidate.depends_on
+        named = {f"{key}{BY}{cause}" if key.endswith("per_K") else key: value for key, value in stated.items()}
+        each.setdefault(member.label, []).append(named)
     return {label: joined_parameters(several) for label, several in each.items()}
 
 
@@ -119,14 +125,15 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
     """
     own = reported.get(label, {})
     out: dict[str, ParameterEstimate] = {}
-    for key in own:
-        each = [(one.probability, one.stated[label][key]) for one in sets if key in one.stated.get(label, {})]
-        each = [(p, e) for p, e in each if comparable(e, own[key])]
-        if key not in parameters or not each or not comparable(parameters[key], own[key]):
+    for stated_as in own:
+        key = stated_as.partition(BY)[0]
+        each = [(one.probability, one.stated[label][stated_as]) for one in sets if stated_as in one.stated.get(label, {})]
+        each = [(p, e) for p, e in each if comparable(e, own[stated_as])]
+        if key not in parameters or not each or not comparable(parameters[key], own[stated_as]):
             continue
         share = np.array([p for p, _ in each])[:, None] / sum(p for p, _ in each)
-        away = np.array([difference(key, e, own[key]) for _, e in each])
-        further = np.array([np.square(e.components[1]) for _, e in each]) - np.square(own[key].components[1])
+        away = np.array([difference(key, e, own[stated_as]) for _, e in each])
+        further = np.array([np.square(e.components[1]) for _, e in each]) - np.square(own[stated_as].components[1])
         mean = np.sum(share * away, axis=0)
         values, stds = (np.array(x) for x in parameters[key].components)
         variance = stds**2 + np.sum(share * (np.maximum(further, 0.0) + (away - mean) ** 2), axis=0)
