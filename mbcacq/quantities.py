@@ -16,6 +16,7 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Ending of a parameter's name: symbol of the unit that is shown, and its number for one of the unit that is stored.
 UNITS = {
     "rad_per_Nm": ("µrad/(N·m)", 1e6),
+    "rad_per_Nm2": ("µrad/(N·m)²", 1e6),
     "rad_per_kg": ("µrad/kg", 1e6),
     "mm_per_rad": ("mm/rad", 1.0),
     "mm_per_N": ("µm/N", 1e3),
@@ -27,6 +28,7 @@ UNITS = {
     "rad_per_s": ("rad/s", 1.0),
     "per_mm": ("1/mm", 1.0),
     "per_s": ("1/s", 1.0),
+    "per_K": ("ppm/K", 1e6),
     "kg_mm": ("kg·mm", 1.0),
     "deg_per_s": ("°/s", 1.0),
     "deg_s": ("°/s", 1.0),

@@ -52,6 +52,9 @@ def test_units_are_separated_from_names():
     assert split_unit("compliance_mm_per_N") == ("compliance", "µm/N", 1e3)
     assert split_unit("link2.time_constant_s") == ("link2 time constant", "s", 1.0)
     assert split_unit("A1.amplitude_deg") == ("A1 amplitude", "°", 1.0)
+    assert split_unit("scale_per_K") == ("scale", "ppm/K", 1e6)
+    assert split_unit("A2.softening_rad_per_Nm2") == ("A2 softening", "µrad/(N·m)²", 1e6)
+    assert split_unit("expansion_ppm_per_K") == ("expansion", "ppm/K", 1.0)
     assert split_unit("A4.order") == ("A4 order", "", 1.0)
 
 
