@@ -48,6 +48,13 @@ def test_of_a_misfit_within_the_uncertainty_of_the_noise_no_share_is_stated():
     assert "of the misfit beyond noise" not in words(diagnosed("explained", SOFT, before=0.0092, after=0.0091))
 
 
+def test_where_all_that_was_found_is_a_trend_the_verdict_claims_no_figure():
+    trend = replace(SOFT, parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(1e-7, 1e-7)})
+    text = words(diagnosed("explained", trend, before=0.0094, after=0.0094))
+    assert text.startswith("A trend alone: the evidence shows an effect, and it is too weak for a figure.")
+    assert words(diagnosed("explained", SOFT, trend)).startswith("Explained: the effects below bring the simulation")
+
+
 def test_an_unmodelled_effect_says_what_it_is_a_function_of():
     assert "What and where: unmodelled effect of q2 at link2" in words(diagnosed("unexplained", UNMODELLED))
 

@@ -8,6 +8,7 @@ from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
 from mbcacq.diagnosis.validation.shared_products import SharedProducts
 from mbcacq.estimation.posterior import Posterior
@@ -32,6 +33,19 @@ def test_chi2_of_a_prediction_is_the_mahalanobis_distance():
     away = r[test, 0] - B @ covariance @ A.T @ r[train, 0]
     assert chi2 == pytest.approx(away @ np.linalg.solve(np.eye(10) + B @ covariance @ B.T, away))
     assert known.solution == pytest.approx(covariance @ A.T @ r[train, 0])
+
+
+def test_of_a_misfit_that_noise_alone_explains_no_effect_removes_a_share_beyond_its_scatter():
+    """Without an excess there is nothing to take a share of: chi2 falls by what noise makes of it, up to twice its standard deviation."""
+
+    def score(chi2):
+        return predictive_score.PredictiveScore(square=1.0, count=150, chi2=chi2, dof=450.0)
+
+    for before in (430.0, 450.0, 460.0):
+        found = CrossValidation(score(before), score(before - 3.0), "station", without={"station_drift:station3": score(before)})
+        share = found.gain("station_drift:station3")
+        assert share == pytest.approx(3.0 / np.sqrt(2.0 * 450.0))
+        assert share < 2.0 * found.gain_std(share) < 1.0
 
 
 def test_an_effect_that_is_there_predicts_stations_left_out(large_plan):

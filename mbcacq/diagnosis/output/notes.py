@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
+from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
@@ -20,7 +21,7 @@ from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import FADING, Candidate
-from mbcacq.effects.in_words import odds_in_words
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
@@ -60,12 +61,29 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         return []
     reported = reported_hypothesis(full.evidence)
     return [
+        *other_covariates(full.evidence, reported),
         *partial_periods(setup, full),
         *aliased(setup, reported),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
         *bent_artefacts(setup.linear.obs, effects),
         *(c.advice.format(odds=odds_in_words(odds)) for c, odds in coupled_instead(full.evidence, reported)),
+    ]
+
+
+def other_covariates(fit: RankedSets, reported: Hypothesis) -> list[str]:
+    """One sentence for each reported effect that depends on another recorded quantity about as probably (two thermometers, say)."""
+    own = {m.label: m.candidate.depends_on for m in reported.catalogued}
+    found: dict[tuple[str, str], float] = {}
+    for h in fit.hypotheses:
+        odds = h.log_posterior - reported.log_posterior
+        if h.labels == reported.labels and odds > np.log(OPTIONS.undecided):
+            for m in h.catalogued:
+                if (cause := m.candidate.depends_on) != own[m.label]:
+                    found[m.label, cause] = max(float(np.exp(odds)), found.get((m.label, cause), 0.0))
+    return [
+        f"{effect_in_words(label)} may depend on {cause} in place of {own[label]} ({odds_in_words(odds)})"
+        for (label, cause), odds in found.items()
     ]
 
 

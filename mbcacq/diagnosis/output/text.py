@@ -26,6 +26,7 @@ VERDICTS = {
 }
 NOT_TOLD_APART = "Cannot tell: these {data} do not separate the possible causes of the mismatch."
 OPEN = "Cannot tell: these {data} leave open whether there is an effect."
+TREND_ALONE = "A trend alone: the evidence shows an effect, and it is too weak for a figure."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
@@ -61,6 +62,8 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = OPEN
+    elif d.verdict == "explained" and d.effects and not findings_and_trends(d.effects)[0]:
+        sentence = TREND_ALONE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 
 

@@ -63,7 +63,8 @@ class CrossValidation:
 
     @property
     def _excess(self) -> float:
-        return max(self.before.chi2 - self.before.dof, 1e-9)
+        """chi2 of the geometry beyond noise, of which shares are stated; no less than the standard deviation that it has by noise alone."""
+        return max(self.before.chi2 - self.before.dof, float(np.sqrt(2.0 * max(self.before.dof, 1))))
 
 
 def cross_validate(
