@@ -1,5 +1,6 @@
 """Rules of the repository that a reader cannot see at a glance."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,10 +26,12 @@ def test_help_imports_nothing_heavy():
 def test_every_command_is_there_and_has_help():
     from mbcacq.cli.app import COMMANDS, app
 
+    table = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("| `mbcacq ")]
     for name in COMMANDS:
         command = app.get_command(None, name)
         assert command is not None, name
         assert command.help, name
+        assert any(re.search(rf"`mbcacq {name}\b", line) for line in table), f"README.md has no row for mbcacq {name}: say what it does"
 
 
 def test_ci_runs_what_the_readme_says():
