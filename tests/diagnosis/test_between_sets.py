@@ -44,6 +44,20 @@ def test_an_angle_is_averaged_the_shorter_way_round():
     assert found.std < 2.0
 
 
+def test_orders_of_a_gear_are_averaged_each_with_itself_however_a_set_lists_them():
+    label = "gear_transmission_error:A1"
+    orders, turned = (100.0, 2.0), (2.0, 100.0)
+    own, other = (
+        {label: {"A1.order": ParameterEstimate(order, (0.1, 0.1)), "A1.amplitude_deg": ParameterEstimate(size, (1e-4, 1e-4))}}
+        for order, size in ((orders, (0.004, 0.003)), (turned, (0.003, 0.004)))
+    )
+    found = averaged(label, own[label], own, [WeightedSet(1.0, own), WeightedSet(0.5, other)])
+    assert found["A1.order"].value == pytest.approx(orders)
+    assert found["A1.order"].std == pytest.approx((0.1, 0.1))
+    assert found["A1.amplitude_deg"].value == pytest.approx((0.004, 0.003))
+    assert not is_changed(own[label], other[label])
+
+
 def growth(by, per_kelvin):
     """A link that grows by ``per_kelvin`` of one thermometer, the only effect of its set."""
     part = DescribedPart("frame", 2, 0, (linear(by),))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from mbcacq.diagnosis.evidence.bayes_factor import over_sizes
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
@@ -24,6 +25,7 @@ from mbcacq.quantities import K
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
 TURN = 360.0
 BY = " by "  # between the name of a parameter per kelvin and its temperature
+ORDERS = ".order"  # end of the name of the parameter that tells several effects of one kind at a joint apart
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
 
 
@@ -124,10 +126,11 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
     and add to their variance, by what they differ from these.
     """
     own = reported.get(label, {})
+    matched = [(one, orders_matched(one.stated.get(label, {}), own)) for one in sets]
     out: dict[str, ParameterEstimate] = {}
     for stated_as in own:
         key = stated_as.partition(BY)[0]
-        each = [(one.probability, one.stated[label][stated_as]) for one in sets if stated_as in one.stated.get(label, {})]
+        each = [(one.probability, stated[stated_as]) for one, stated in matched if stated_as in stated]
         each = [(p, e) for p, e in each if comparable(e, own[stated_as])]
         if key not in parameters or not each or not comparable(parameters[key], own[stated_as]):
             continue
@@ -141,8 +144,27 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
     return out
 
 
+def orders_matched(other: Parameters, own: Parameters) -> Parameters:
+    """The parameters of an effect in another set, each of its several orders at the position of the nearest one of ``own``.
+
+    Sets list the orders of a gear as they found them: without this, one order would be averaged with another.
+    """
+    key = next((key for key in own if key.endswith(ORDERS)), None)
+    if key is None or key not in other or not comparable(own[key], other[key]):
+        return other
+    mine, theirs = (np.array(one[key].components[0]) for one in (own, other))
+    position = linear_sum_assignment(np.abs(mine[:, None] - theirs))[1]
+    return {name: rearranged(e, position) if np.shape(e.components) == np.shape(other[key].components) else e for name, e in other.items()}
+
+
+def rearranged(estimate: ParameterEstimate, position: np.ndarray) -> ParameterEstimate:
+    """An estimate with its components in another order."""
+    return like(estimate, *(np.array(x)[position] for x in estimate.components))
+
+
 def is_changed(own: Parameters, other: Parameters) -> bool:
     """Whether a parameter differs by more than its expanded uncertainty."""
+    other = orders_matched(other, own)
     for key in own:
         if key in other and comparable(own[key], other[key]):
             if np.any(np.abs(difference(key, other[key], own[key])) > K * np.array(own[key].components[1])):
