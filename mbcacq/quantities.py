@@ -27,6 +27,7 @@ UNITS = {
     "Nm_per_rad": ("N·m/rad", 1.0),
     "rad_per_s": ("rad/s", 1.0),
     "per_mm": ("1/mm", 1.0),
+    "per_mm2": ("1/mm²", 1.0),
     "per_s": ("1/s", 1.0),
     "per_K": ("ppm/K", 1e6),
     "kg_mm": ("kg·mm", 1.0),
@@ -102,8 +103,11 @@ def pair(value: float | None, expanded: float | None) -> tuple[str, str]:
     if value is None or not math.isfinite(value) or not expanded or not math.isfinite(expanded):
         return significant(value, 4), "–"
     places = decimal_places(expanded)
-    if places > MOST_PLACES:
-        return significant(value, 2), significant(expanded, 2)
+    if places > MOST_PLACES:  # both with the power of ten of the larger one
+        power = math.floor(math.log10(max(abs(value), expanded)))
+        shown = (fixed(one / 10.0**power, places + power) for one in (value, expanded))
+        first, second = (f"{one} × 10{str(power).translate(_SUPERSCRIPT)}" for one in shown)
+        return first, second
     return fixed(value, places), fixed(expanded, places)
 
 

@@ -96,7 +96,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         advice=tuple(advice),
         dropped=setup.dropped,
         notes=(
-            *not_carried_over(verdict, validation),
+            *not_carried_over(verdict, validation, effects),
             *sum_of_shares(mismatch, before, after),
             *notes(setup, full),
             *of_effects(setup, full, fit.effects),

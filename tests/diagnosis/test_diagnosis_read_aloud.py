@@ -14,9 +14,9 @@ GEOMETRY = GeometryAlone(
 )
 
 
-def diagnosed(verdict, *effects, before=0.020, after=0.009, **fields):
-    held = HeldOutFigures(before, after, 4.0, 1.0, "station")
-    fit = FitSummary(FitFigures(before, after, 4.0, 1.0), held, 0.009)
+def diagnosed(verdict, *effects, before=0.020, after=0.009, chi2=(4.0, 1.0), **fields):
+    held = HeldOutFigures(before, after, *chi2, "station")
+    fit = FitSummary(FitFigures(before, after, *chi2), held, 0.009)
     return Diagnosis(verdict=verdict, mismatch=(), effects=effects, fit=fit, geometry_alone=(GEOMETRY,), **fields)
 
 
@@ -45,7 +45,35 @@ def test_where_nothing_was_found_there_is_no_before_and_after():
 
 def test_of_a_misfit_within_the_uncertainty_of_the_noise_no_share_is_stated():
     assert "100% of the misfit beyond noise" in words(diagnosed("explained", SOFT))
-    assert "of the misfit beyond noise" not in words(diagnosed("explained", SOFT, before=0.0092, after=0.0091))
+    within = words(diagnosed("explained", SOFT, before=0.0092, after=0.0091, chi2=(1.02, 1.0)))
+    assert "of the misfit beyond noise" not in within
+    assert "of the excess over noise" not in within
+
+
+def test_one_effect_removes_the_share_that_is_explained():
+    """Few poses leave the fit uncertain, which millimetres show and chi2 allows for: shares of both would differ."""
+    text = words(diagnosed("explained", replace(SOFT, held_out_gain=0.5), before=0.0162, after=0.0158, chi2=(1.2, 1.1)))
+    assert "How much: 50% of the misfit beyond noise (χ²/dof 1.20 before, 1.10 after); 16.2 µm before, 15.8 µm after" in text
+    assert "removes 50% of the excess over noise" in text
+    assert "χ²/dof 109000 before" in words(diagnosed("explained", SOFT, chi2=(109003.21, 1.04)))
+
+
+def test_what_few_poses_leave_uncertain_is_not_said_to_be_above_the_noise():
+    text = words(diagnosed("none", before=0.0946, after=0.0946, chi2=(0.97, 0.97)))
+    assert text.startswith("No effect: the simulation explains the recording down to the measured noise and the uncertainty of the fit.")
+    assert "noise alone leaves 9.00 ± 0.30 µm (k = 2), and an uncertain fit the rest" in text
+    assert "What next: measure more poses: what these determine predicts others to 94.6 µm only" in text
+    assert "85.60 ± 0.30 µm (k = 2; 951%) above the measured noise" in words(
+        diagnosed("none", before=0.0946, after=0.0946, chi2=(9.0, 9.0))
+    )
+
+
+def test_a_trend_that_does_not_help_states_no_share_and_is_not_to_be_calibrated_with():
+    trend = replace(SOFT, held_out_gain=0.27, held_out_gain_std=0.3)
+    text = words(diagnosed("explained", trend, model=("some terms",)))
+    assert "held-out data are predicted as well without it" in text
+    assert "removes" not in text
+    assert "What next: measure more poses: what was found is too weak to predict held-out data" in text
 
 
 def test_where_all_that_was_found_is_a_trend_the_verdict_claims_no_figure():
@@ -66,6 +94,13 @@ def test_a_verdict_that_cannot_tell_says_of_what():
     assert "How sure: joint_compliance at A2 and lost_motion at A2 cannot be told apart (correlation 0.99, odds 1 : 5" in text
     assert "What next: measure more" in text
     assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses leave open whether there is an effect")
+
+
+def test_of_several_effects_that_stand_together_each_is_in_words():
+    two = (NotSeparable(("payload:mount", "payload:mount and unknown:link2"), 0.98, 0.3),)
+    text = words(diagnosed("cannot_tell", SOFT, not_separable=two))
+    assert "Cannot be told apart: payload at mount and payload at mount together with unmodelled effect at link2 (correlation" in text
+    assert "unknown" not in text
 
 
 def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():

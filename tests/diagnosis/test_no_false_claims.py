@@ -8,6 +8,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.output.notes import not_carried_over, single_place
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import split
@@ -137,3 +138,12 @@ def test_what_parts_of_a_recording_do_not_confirm_is_said_to_be_uncertain_beyond
     assert "may not hold at others" in note
     assert not not_carried_over("explained", scores(310.0))
     assert not not_carried_over("partly_explained", scores(900.0))
+
+
+def test_what_happened_at_one_station_is_not_judged_by_leaving_that_station_out():
+    one = PredictiveScore(1.0, 100, 900.0, 300.0)
+    drift = EffectFound(name="station_drift", where=("station3",), parameters={}, p_value=1e-30, held_out_gain=0.1)
+    (note,) = not_carried_over("explained", CrossValidation(one, one, "station", {}), [drift])
+    assert "what happens at station3 alone is not known where the whole station is left out" in note
+    (note,) = not_carried_over("explained", CrossValidation(one, one, "block", {}), [drift])
+    assert "3.0 times the variance" in note

@@ -147,6 +147,8 @@ def test_what_is_beyond_what_machines_have_was_not_tested():
         length_mm=None,
         holds_for=ExclusionBand("order", 1.0, 1.5),
     )
+    once = replace(step, holds_for=ExclusionBand("at_pose", 3, 118, (17,)))
+    assert "but at 1 moment between up to" in limit_lines([once])[0]
     lines = limit_lines([step, slow, absurd, absorbed])
     assert lines == [
         "Not excluded (95 %): joint_step at A6 at any pose from 3 to 118, but at 2 moments between up to step 0.0078° "

@@ -14,6 +14,8 @@ from mbcacq.quantities import decimal_places, fixed, measured, p_value, pair, si
         (1.0, 0.0996, ("1.00", "0.10")),  # two digits of 0.0996 are 0.10
         (1234.0, 260.0, ("1230", "260")),
         (-0.0004, 0.0114, ("0.000", "0.011")),  # a zero has no sign
+        (-2.0366e-5, 6.02e-7, ("−2.037 × 10⁻⁵", "0.060 × 10⁻⁵")),
+        (1.2e-9, 6.02e-7, ("0.0 × 10⁻⁷", "6.0 × 10⁻⁷")),
     ],
 )
 def test_a_value_ends_where_the_second_digit_of_its_uncertainty_stands(value, expanded, shown):
@@ -52,6 +54,7 @@ def test_units_are_separated_from_names():
     assert split_unit("compliance_mm_per_N") == ("compliance", "µm/N", 1e3)
     assert split_unit("link2.time_constant_s") == ("link2 time constant", "s", 1.0)
     assert split_unit("A1.amplitude_deg") == ("A1 amplitude", "°", 1.0)
+    assert split_unit("radial_per_mm2") == ("radial", "1/mm²", 1.0)
     assert split_unit("scale_per_K") == ("scale", "ppm/K", 1e6)
     assert split_unit("A2.softening_rad_per_Nm2") == ("A2 softening", "µrad/(N·m)²", 1e6)
     assert split_unit("expansion_ppm_per_K") == ("expansion", "ppm/K", 1.0)

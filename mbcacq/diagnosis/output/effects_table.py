@@ -214,22 +214,19 @@ def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[
 def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:
     """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
-    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
+    together: dict[tuple[str, str], list[int]] = {}  # several effects at one location, as the orders of a joint, are one entry
     for j, m in enumerate(full.model.members):
         together.setdefault((m.candidate.where[-1], m.candidate.depends_on), []).append(j)
-    entries = []  # location, covariate, gain in chi2, p-value
-    for (at, on), members in together.items():
-        gain = contributions.of(members)
-        entries.append((at, on, gain, likelihood_ratio_p(full, members, gain)))
+    gains = {key: contributions.of(members) for key, members in together.items()}
+    p_values = {key: likelihood_ratio_p(full, members, gains[key]) for key, members in together.items()}
     for cell in full.cells[:1] if full.everywhere else full.cells:
-        gain = contributions.of(contributions.groups_at(full, cell.location, cell.depends_on))
-        entries.append((cell.location, cell.depends_on, gain, _bayes_p(cell.log_bayes_factor)))
-    largest: dict[tuple[str, str], MismatchEntry] = {}
-    for at, on, gain, p_value in entries:
-        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
-        if (at, on) not in largest or largest[at, on].share < entry.share:
-            largest[at, on] = entry
-    return sorted(largest.values(), key=lambda e: -e.share)
+        key = cell.location, cell.depends_on
+        # What named and unmodelled effects of one location explain alike is its own share. Groups everywhere are of no one location.
+        named = [] if full.everywhere else together.get(key, [])
+        gains[key] = max(gains.get(key, 0.0), contributions.of([*named, *contributions.groups_at(full, *key)]))
+        p_values[key] = min(p_values.get(key, 1.0), _bayes_p(cell.log_bayes_factor))
+    entries = [MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), p_values[at, on]) for (at, on), gain in gains.items()]
+    return sorted(entries, key=lambda e: -e.share)
 
 
 def with_significance(effects: Sequence[EffectFound], setup: DiagnosisProblem, full: ModelFit) -> list[EffectFound]:

@@ -45,7 +45,8 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
         out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
     dropped = int(np.sum(~keep))
     if dropped:
-        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were rejected")
+        rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
+        out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
@@ -126,11 +127,18 @@ def single_place(setup: DiagnosisProblem) -> list[str]:
     return ["all poses look at one place: held-out figures are of that place, and it is not shown that the model holds at other places"]
 
 
-def not_carried_over(verdict: str, validation: CrossValidation) -> list[str]:
+def not_carried_over(verdict: str, validation: CrossValidation, effects: Sequence[EffectFound] = ()) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
     left_out = validation.after
     if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noticeable:
         return []
+    moved = [at for e in effects for at in e.where if at.startswith("station")]
+    if moved and validation.split == "station":
+        each = ", ".join(moved)
+        return [
+            f"what happens at {each} alone is not known where the whole station is left out: it stays in the figures of held-out data, "
+            "and these do not judge it"
+        ]
     part = "a place" if validation.split == "station" else "a part of the poses"
     return [
         f"errors at {part} that is left out have {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry, ResponseShape
-from mbcacq.diagnosis.findings import Advice, Findings, NotSeparable
+from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
+from mbcacq.effects.trend import REMOVES_NOTHING
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
@@ -44,7 +45,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     lines += summary_lines(d, floor, calibrated)
     lines.append("")
     lines += mismatch_lines(d.mismatch)
-    lines += effect_lines(d.effects)
+    lines += effect_lines(d.effects, floor.is_excess(d.fit.held_out.before_chi2_dof))
     lines += geometry_lines(d.geometry_alone)
     lines.append(held_out_line(d, floor))
     lines += proposal_lines(d.proposals)
@@ -70,10 +71,15 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
 def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
     """The misfit of data that took part in nothing; where nothing was found there is no before and after."""
     held = d.fit.held_out
-    rms, chi2 = micrometres(held.before_rms_mm), f"{held.before_chi2_dof:.2f}"
+    rms, chi2 = micrometres(held.before_rms_mm), chi2_in_words(held.before_chi2_dof)
     if d.effects:
-        rms, chi2 = f"{rms} before, {micrometres(held.after_rms_mm)} after", f"{chi2} before, {held.after_chi2_dof:.2f} after"
+        rms, chi2 = f"{rms} before, {micrometres(held.after_rms_mm)} after", f"{chi2} before, {chi2_in_words(held.after_chi2_dof)} after"
     return f"On held-out data (by {held.split}): {rms}; χ²/dof {chi2}; expected from noise alone: {floor.noise} (k = 2)."
+
+
+def chi2_in_words(chi2_dof: float) -> str:
+    """chi2 per degree of freedom; three digits of a large one."""
+    return fixed(chi2_dof, 2) if chi2_dof < 100 else significant(chi2_dof, 3)
 
 
 def mismatch_lines(mismatch: Sequence[MismatchEntry]) -> list[str]:
@@ -83,19 +89,19 @@ def mismatch_lines(mismatch: Sequence[MismatchEntry]) -> list[str]:
     return ["Where model and data disagree:", *lines, ""] if lines else []
 
 
-def effect_lines(effects: Sequence[EffectFound]) -> list[str]:
-    """The findings, then the trends."""
+def effect_lines(effects: Sequence[EffectFound], excess: bool = True) -> list[str]:
+    """The findings, then the trends. excess: whether held-out data have an excess over noise, of which an effect can remove a share."""
     lines = list[str]()
     for heading, some in zip((FINDINGS, TRENDS), findings_and_trends(effects), strict=True):
         lines += [heading] if some else []
         for effect in some:
-            lines += describe(effect)
+            lines += describe(effect, excess)
     return lines
 
 
 def open_lines(not_separable: Sequence[NotSeparable], advice: Sequence[Advice]) -> list[str]:
     """What cannot be told apart, and what to measure next."""
-    lines = [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in not_separable]
+    lines = [f"Cannot be told apart: {pair_in_words(pair)} ({odds_of(pair)})" for pair in not_separable]
     return [*lines, *(f"Measure next: {a.reason}" for a in advice)]
 
 
@@ -123,13 +129,15 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     what = _named(findings) or ("no effect with a reliable figure" if trends else "no effect")
     if d.verdict == "unexplained":
         what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
-    excess = held.before_rms_mm**2 - floor.floor_mm**2
-    removed = min(max((held.before_rms_mm**2 - held.after_rms_mm**2) / excess, 0.0), 1.0) if excess > 0 else 0.0
+    # By chi2, as the share of each effect: squares of millimetres also count how uncertain the fit is.
+    removed = (held.before_chi2_dof - held.after_chi2_dof) / max(held.before_chi2_dof - 1.0, 1e-9)
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
     # An excess that is within the uncertainty of the noise has no shares.
-    share = f"{removed:.0%} of the misfit beyond noise, " if held.before_rms_mm - floor.floor_mm > floor.expanded_mm else ""
+    chi2 = f"χ²/dof {chi2_in_words(held.before_chi2_dof)} before, {chi2_in_words(held.after_chi2_dof)} after"
+    share = f"{min(max(removed, 0.0), 1.0):.0%} of the misfit beyond noise ({chi2}); " if floor.is_excess(held.before_chi2_dof) else ""
     much = f"{share}{before} before, {after} after" if d.effects else before
     much += f", on held-out data; noise alone leaves {floor.noise} (k = 2)"
+    much += ", and an uncertain fit the rest" if floor.fit_is_the_rest else ""
     trend = [f"Trend, too weak for a figure: {_named(trends)}"] if trends else []
     return [f"What and where: {what}", *trend, f"How much: {much}", f"How sure: {how_sure(d)}", f"What next: {what_next(d, calibrated)}"]
 
@@ -143,7 +151,7 @@ def how_sure(d: Diagnosis) -> str:
         return f"{len(usual)} of {len(d.exclusion_limits)} effects that were sought are excluded at their usual size (95 %)"
     if d.not_separable:
         pair = max(d.not_separable, key=lambda one: one.odds or 0.0)
-        return f"{' and '.join(map(effect_in_words, pair.effects))} cannot be told apart ({odds_of(pair)})"
+        return f"{pair_in_words(pair)} cannot be told apart ({odds_of(pair)})"
     first = d.effects[0]
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
@@ -159,9 +167,14 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
         return d.advice[0].reason
     if d.not_separable:
         return "measure more, at postures that the recording does not have: these poses do not decide between the remaining explanations"
+    if d.effects and all(e.trend == REMOVES_NOTHING for e in d.effects):
+        return "measure more poses: what was found is too weak to predict held-out data"
     if d.model:
         taken = "verify the calibration with what was found on another recording (mbcacq verify), or use it"
         return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
+    floor = noise_floor(d)
+    if floor.fit_is_the_rest and floor.after_mm > DIAGNOSIS.noticeable * floor.floor_mm:
+        return f"measure more poses: what these determine predicts others to {micrometres(floor.after_mm)} only"
     return what_could_hide(d.exclusion_limits)
 
 
@@ -178,7 +191,8 @@ def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:
 
 def noise_floor(d: Diagnosis) -> NoiseFloor:
     """How near the model comes to the noise on held-out data."""
-    return NoiseFloor.of(d.fit.held_out.after_rms_mm, d.fit.repeatability_floor_mm, sum(g.centres for g in d.geometry_alone))
+    held, centres = d.fit.held_out, sum(g.centres for g in d.geometry_alone)
+    return NoiseFloor.of(held.after_rms_mm, d.fit.repeatability_floor_mm, centres, held.after_chi2_dof)
 
 
 def geometry_lines(each: Sequence[GeometryAlone]) -> list[str]:
@@ -260,17 +274,20 @@ def limited(limit: ExclusionLimit) -> str:
     if band is None:
         return at
     if band.parameter == "at_pose":
-        but = f", but at {len(band.left_out)} moments between" if band.left_out else ""
+        between = len(band.left_out)
+        but = f", but at {between} {'moment' if between == 1 else 'moments'} between" if between else ""
         return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
     words, unit, factor = split_unit(band.parameter)
     low, high = (significant(factor * end, 2) for end in (band.low, band.high))
     return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"
 
 
-def describe(effect: EffectFound) -> list[str]:
-    """The lines of one effect, with an empty one at the end; a trend has no figure."""
+def describe(effect: EffectFound, excess: bool = True) -> list[str]:
+    """The lines of one effect, with an empty one at the end; a trend has no figure. excess: as ``effect_lines``."""
     at = f"{effect_in_words(effect.name)} at {', '.join(effect.where)}"
-    out = [f"{at} ({p_value(effect.p_value)}, removes {percent(effect.gain_here)} of the excess over noise)"]
+    # A share that its uncertainty covers is no figure either.
+    share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and effect.trend != REMOVES_NOTHING else ""
+    out = [f"{at} ({p_value(effect.p_value)}{share})"]
     values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]
     shape = [] if effect.shape is None else [size_of_shape(effect, effect.shape)]
     out += [f"  {line}" for line in (*values, *shape, *effect.notes)]
@@ -305,6 +322,12 @@ def likelihood(a: Alternative) -> str:
     if a.odds is None:
         return f"would remove {percent(a.held_out_gain)}"
     return odds_in_words(a.odds)
+
+
+def pair_in_words(pair: NotSeparable) -> str:
+    """Both sides of a pair; 'A and A together with B' where a side has several effects."""
+    sides = [list(map(effect_in_words, side.split(TOGETHER))) for side in pair.effects]
+    return " and ".join(" together with ".join(side) for side in sides)
 
 
 def odds_of(pair: NotSeparable) -> str:
