@@ -79,6 +79,19 @@ def test_what_grows_per_kelvin_of_the_arm_is_not_averaged_with_what_grows_per_ke
     assert both[key].value == pytest.approx(0.004)
 
 
+def test_what_a_payload_states_of_a_compliance_is_averaged_with_what_the_joint_states():
+    """The tool is heavier than declared: without it A3 seems softer than it is, by ten times the uncertainty of that set."""
+    label, key = "joint_compliance:A3", "A3.compliance_rad_per_Nm"
+    part = DescribedPart("joint", 2, 0, (linear("gravity_torque_3"),))
+    candidate = plain_effect("payload", ["mount"], "gravity_torque_2", [part], {key: 1.5e-6})
+    member = SimpleNamespace(candidate=candidate, hyper=None, label="payload:mount")
+    heavy = by_effect(EffectSet((member,), np.array([4.0e-6]), np.array([[1e-14]])))
+    alone = {label: {key: ParameterEstimate(4.6e-6, 5e-8)}}
+    found = averaged(label, alone[label], alone, [WeightedSet(0.1, alone), WeightedSet(0.9, heavy)])[key]
+    assert found.value == pytest.approx(4.06e-6)
+    assert found.std == pytest.approx(np.sqrt(0.1 * 0.05**2 + 0.9 * 0.1**2 + 0.09 * 0.6**2) * 1e-6, rel=0.01)
+
+
 def test_a_value_is_changed_beyond_its_expanded_uncertainty():
     own = stated(0.2, 0.02)[LABEL]
     assert is_changed(own, stated(0.25, 0.3)[LABEL])

@@ -99,8 +99,11 @@ def test_a_verdict_that_cannot_tell_says_of_what():
 def test_of_several_effects_that_stand_together_each_is_in_words():
     two = (NotSeparable(("payload:mount", "payload:mount and unknown:link2"), 0.98, 0.3),)
     text = words(diagnosed("cannot_tell", SOFT, not_separable=two))
-    assert "Cannot be told apart: payload at mount and payload at mount together with unmodelled effect at link2 (correlation" in text
+    assert "Cannot be told apart: payload at mount alone and together with unmodelled effect at link2 (correlation" in text
     assert "unknown" not in text
+    other = (NotSeparable(("payload:mount", "backlash:A1 and unknown:link2"), 0.98, 0.3),)
+    text = words(diagnosed("cannot_tell", SOFT, not_separable=other))
+    assert "payload at mount and backlash at A1 together with unmodelled effect at link2 cannot be told apart" in text
 
 
 def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():

@@ -9,12 +9,14 @@ import simulated
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets, WeightedSet
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.kinds import payload
 from mbcacq.geometry import gravity
 from mbcacq.plan import expand, load
@@ -121,6 +123,20 @@ def test_a_payload_that_stands_for_elastic_joints_needs_odds_of_twenty_to_one(od
 
     assert reported.labels == frozenset(wrong_tool if claimed else elastic)
     assert [(c.name, odds) for c, odds in coupled_instead(fit, reported)] == ([] if claimed else [("payload", pytest.approx(1.0))])
+
+
+def test_a_payload_that_is_not_excluded_and_changes_a_compliance_leaves_it_open():
+    fit = compared((52.0, ["joint_compliance:A2", "payload:mount"]), (50.0, ["joint_compliance:A2", "joint_compliance:A3"]))
+    likely = fit.hypotheses[:2]
+    key = "A3.compliance_rad_per_Nm"
+
+    def changing(beside):
+        sets = [WeightedSet(1.0, {"joint_compliance:A3": {key: ParameterEstimate(value, 5e-8)}}) for value in (beside, 4.6e-6)]
+        return [c.changed for c in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
+
+    assert reported_hypothesis(fit) is likely[1]
+    assert changing(4.0e-6) == [frozenset({"joint_compliance:A3"})]
+    assert changing(4.6e-6) == []
 
 
 def test_a_payload_that_elasticity_excludes_is_not_spoken_of():

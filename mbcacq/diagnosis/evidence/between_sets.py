@@ -16,10 +16,11 @@ from scipy.optimize import linear_sum_assignment
 from mbcacq.diagnosis.evidence.bayes_factor import over_sizes
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, reported_hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of
-from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters
+from mbcacq.effects import catalogue
+from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters, label_of
 from mbcacq.quantities import K
 
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
@@ -83,7 +84,8 @@ class BetweenSets:
         reported, own = self.hypotheses[self.reported], self.sets[self.reported].stated
         found: list[ChangingSet] = []
         for h, one in sorted(zip(self.hypotheses, self.sets, strict=True), key=lambda pair: len(pair[0].labels)):
-            if not h.labels > reported.labels or any(other.hypothesis.labels <= h.labels for other in found):
+            further = h.labels > reported.labels or (is_coupled(h) and not is_coupled(reported) and is_part(reported, h))
+            if not further or any(other.hypothesis.labels <= h.labels for other in found):
                 continue
             changed = frozenset(label for label in own if label in one.stated and is_changed(own[label], one.stated[label]))
             if changed:
@@ -108,7 +110,8 @@ def coefficients_over_sizes(hypothesis: Hypothesis) -> EffectSet:
 def by_effect(solved: EffectSet) -> ByEffect:
     """What the coefficients of a set state of each effect.
 
-    A change per kelvin of the arm is another quantity than one per kelvin of the air: its name is followed by its temperature.
+    A change per kelvin of the arm is another quantity than one per kelvin of the air: its name is followed by its temperature. What an
+    effect states of another one through which it shows (a payload of the compliance of a joint) is stated of that one.
     """
     each: dict[str, list[Parameters]] = {}
     for member, own in zip(solved.members, solved.slices(), strict=True):
@@ -116,6 +119,11 @@ def by_effect(solved: EffectSet) -> ByEffect:
         cause = member.candidate.depends_on
         named = {f"{key}{BY}{cause}" if key.endswith("per_K") else key: value for key, value in stated.items()}
         each.setdefault(member.label, []).append(named)
+        coupling = catalogue.declaration(member.candidate.name).coupling
+        for key, value in named.items():
+            at, _, parameter = key.rpartition(".")
+            if coupling is not None and parameter == coupling.parameter:
+                each.setdefault(label_of(coupling.through, (at,)), []).append({key: value})
     return {label: joined_parameters(several) for label, several in each.items()}
 
 

@@ -325,8 +325,12 @@ def likelihood(a: Alternative) -> str:
 
 
 def pair_in_words(pair: NotSeparable) -> str:
-    """Both sides of a pair; 'A and A together with B' where a side has several effects."""
+    """Both sides of a pair; 'A alone and together with B' where one side has all effects of the other, 'A together with B and C' else."""
     sides = [list(map(effect_in_words, side.split(TOGETHER))) for side in pair.effects]
+    ours, *theirs = sides
+    further = [effect for side in theirs for effect in side if effect not in ours]
+    if all(set(ours) < set(side) for side in theirs):
+        return f"{', '.join(ours)} alone and together with {', '.join(further)}"
     return " and ".join(" together with ".join(side) for side in sides)
 
 
