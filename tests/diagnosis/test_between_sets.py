@@ -58,6 +58,25 @@ def test_orders_of_a_gear_are_averaged_each_with_itself_however_a_set_lists_them
     assert not is_changed(own[label], other[label])
 
 
+def gear(*orders):
+    """What a set states of a gear that has these orders, each with an amplitude of a thousandth of its order."""
+    std = (0.05,) * len(orders)
+    size = ParameterEstimate(tuple(1e-3 * n for n in orders), (1e-4,) * len(orders))
+    return {"gear_transmission_error:A1": {"A1.order": ParameterEstimate(orders, std), "A1.amplitude_deg": size}}
+
+
+@pytest.mark.parametrize("other", [(100.1, 30.0), (30.0, 100.1), (30.0, 100.1, 60.0), (100.1,)])
+def test_an_order_is_averaged_over_the_sets_that_have_it_and_another_order_is_another_effect(other):
+    label = "gear_transmission_error:A1"
+    own, sets = gear(2.0, 100.0), gear(*other)
+    found = averaged(label, own[label], own, [WeightedSet(1.0, own), WeightedSet(1.0, sets)])
+    assert found["A1.order"].value == pytest.approx((2.0, 100.05))
+    assert found["A1.amplitude_deg"].value == pytest.approx((0.002, 0.10005))
+    assert found["A1.amplitude_deg"].std == pytest.approx((1e-4, np.hypot(1e-4, 0.5e-4)))
+    assert is_changed(own[label], sets[label])  # the order 2 is not there
+    assert not is_changed(own[label], gear(100.0, 2.0)[label])
+
+
 def growth(by, per_kelvin):
     """A link that grows by ``per_kelvin`` of one thermometer, the only effect of its set."""
     part = DescribedPart("frame", 2, 0, (linear(by),))

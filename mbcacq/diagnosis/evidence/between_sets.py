@@ -27,6 +27,7 @@ ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
 TURN = 360.0
 BY = " by "  # between the name of a parameter per kelvin and its temperature
 ORDERS = ".order"  # end of the name of the parameter that tells several effects of one kind at a joint apart
+LEAST_APART = 0.25  # of two orders that are two causes
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
 
 
@@ -139,12 +140,15 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
     for stated_as in own:
         key = stated_as.partition(BY)[0]
         each = [(one.probability, stated[stated_as]) for one, stated in matched if stated_as in stated]
-        each = [(p, e) for p, e in each if comparable(e, own[stated_as])]
-        if key not in parameters or not each or not comparable(parameters[key], own[stated_as]):
+        each = [(p, e) for p, e in each if alike(e, own[stated_as])]
+        if key not in parameters or not each or not alike(parameters[key], own[stated_as]):
             continue
-        share = np.array([p for p, _ in each])[:, None] / sum(p for p, _ in each)
         away = np.array([difference(key, e, own[stated_as]) for _, e in each])
         further = np.array([np.square(e.components[1]) for _, e in each]) - np.square(own[stated_as].components[1])
+        known = np.isfinite(away) & np.isfinite(further)  # a set need not have every order
+        away, further = np.where(known, away, 0.0), np.where(known, further, 0.0)
+        weight = np.where(known, np.array([p for p, _ in each])[:, None], 0.0)
+        share = weight / np.maximum(weight.sum(axis=0), 1e-300)
         mean = np.sum(share * away, axis=0)
         values, stds = (np.array(x) for x in parameters[key].components)
         variance = stds**2 + np.sum(share * (np.maximum(further, 0.0) + (away - mean) ** 2), axis=0)
@@ -153,37 +157,43 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
 
 
 def orders_matched(other: Parameters, own: Parameters) -> Parameters:
-    """The parameters of an effect in another set, each of its several orders at the position of the nearest one of ``own``.
+    """The parameters of an effect in another set, each of its several orders at the position of the same one of ``own``; what is stated
+    of an order that the other set does not have is not a number.
 
     Sets list the orders of a gear as they found them: without this, one order would be averaged with another.
     """
     key = next((key for key in own if key.endswith(ORDERS)), None)
-    if key is None or key not in other or not comparable(own[key], other[key]):
+    if key is None or key not in other:
         return other
-    mine, theirs = (np.array(one[key].components[0]) for one in (own, other))
-    position = linear_sum_assignment(np.abs(mine[:, None] - theirs))[1]
-    return {name: rearranged(e, position) if np.shape(e.components) == np.shape(other[key].components) else e for name, e in other.items()}
+    (mine, my_std), (theirs, their_std) = (map(np.array, one[key].components) for one in (own, other))
+    away = np.abs(mine[:, None] - theirs)
+    here, there = linear_sum_assignment(away)
+    same = away[here, there] <= np.maximum(LEAST_APART, K * np.hypot(my_std[here], their_std[there]))
 
+    def placed(name: str, stated: ParameterEstimate) -> ParameterEstimate:
+        components = np.array(stated.components)
+        if name not in own or components.shape[1] != len(theirs):
+            return stated
+        moved = np.full((2, len(mine)), np.nan)
+        moved[:, here[same]] = components[:, there[same]]
+        return like(own[name], *moved)
 
-def rearranged(estimate: ParameterEstimate, position: np.ndarray) -> ParameterEstimate:
-    """An estimate with its components in another order."""
-    return like(estimate, *(np.array(x)[position] for x in estimate.components))
+    return {name: placed(name, stated) for name, stated in other.items()}
 
 
 def is_changed(own: Parameters, other: Parameters) -> bool:
-    """Whether a parameter differs by more than its expanded uncertainty."""
+    """Whether a parameter differs by more than its expanded uncertainty, or is of an order that the other set does not have."""
     other = orders_matched(other, own)
     for key in own:
-        if key in other and comparable(own[key], other[key]):
-            if np.any(np.abs(difference(key, other[key], own[key])) > K * np.array(own[key].components[1])):
+        if key in other and alike(own[key], other[key]) and np.isfinite(own[key].components).all():
+            if not np.all(np.abs(difference(key, other[key], own[key])) <= K * np.array(own[key].components[1])):
                 return True
     return False
 
 
-def comparable(one: ParameterEstimate, other: ParameterEstimate) -> bool:
-    """Whether both have as many components, all finite."""
-    a, b = one.components, other.components
-    return np.shape(a) == np.shape(b) and bool(np.isfinite(a).all() and np.isfinite(b).all())
+def alike(one: ParameterEstimate, other: ParameterEstimate) -> bool:
+    """Whether both have as many components."""
+    return np.shape(one.components) == np.shape(other.components)
 
 
 def difference(key: str, one: ParameterEstimate, other: ParameterEstimate) -> np.ndarray:

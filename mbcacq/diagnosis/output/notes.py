@@ -8,6 +8,7 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.between_sets import LEAST_APART
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
@@ -30,7 +31,6 @@ from mbcacq.quantities import micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
-LEAST_APART = 0.25  # of two orders that are two causes
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
 
