@@ -145,5 +145,7 @@ def test_what_happened_at_one_station_is_not_judged_by_leaving_that_station_out(
     drift = EffectFound(name="station_drift", where=("station3",), parameters={}, p_value=1e-30, held_out_gain=0.1)
     (note,) = not_carried_over("explained", CrossValidation(one, one, "station", {}), [drift])
     assert "what happens at station3 alone is not known where the whole station is left out" in note
+    little = PredictiveScore(1.0, 100, 390.0, 300.0)  # beyond noise, and less than is spoken of else
+    assert not_carried_over("explained", CrossValidation(little, little, "station", {}), [drift]) == [note]
     (note,) = not_carried_over("explained", CrossValidation(one, one, "block", {}), [drift])
     assert "3.0 times the variance" in note

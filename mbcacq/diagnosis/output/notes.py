@@ -26,7 +26,7 @@ from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import micrometres, p_value, significant, with_unit
+from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
@@ -130,15 +130,17 @@ def single_place(setup: DiagnosisProblem) -> list[str]:
 def not_carried_over(verdict: str, validation: CrossValidation, effects: Sequence[EffectFound] = ()) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
     left_out = validation.after
-    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noticeable:
+    if verdict != "explained":
         return []
     moved = [at for e in effects for at in e.where if at.startswith("station")]
-    if moved and validation.split == "station":
+    if moved and validation.split == "station" and left_out.chi2_dof > 1 + K * np.sqrt(2 / max(left_out.dof, 1)):
         each = ", ".join(moved)
         return [
             f"what happens at {each} alone is not known where the whole station is left out: it stays in the figures of held-out data, "
             "and these do not judge it"
         ]
+    if left_out.chi2_dof <= OPTIONS.noticeable:
+        return []
     part = "a place" if validation.split == "station" else "a part of the poses"
     return [
         f"errors at {part} that is left out have {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "
