@@ -31,6 +31,7 @@ from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
 LEAST_APART = 0.25  # of two orders that are two causes
+MOST_POSES = 8  # whose numbers are listed
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
 
@@ -47,6 +48,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     if dropped:
         rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
         out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
+        out += rejected_poses(full.geometry_only.linear.obs, keep)
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
@@ -54,6 +56,22 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
             "its size in rad/Nm is not meaningful"
         )
     return out
+
+
+def rejected_poses(obs: Observations, keep: np.ndarray) -> list[str]:
+    """A sentence where all centres of a pose were rejected, several at least: wrong centres are wrong by themselves.
+
+    keep: (M,) bool of the centres that took part.
+    """
+    count, kept = (np.bincount(obs.pose[chosen], minlength=obs.n_poses) for chosen in (slice(None), keep))
+    whole = obs.pose_id[(count > 1) & (kept == 0)]
+    if not len(whole):
+        return []
+    named = ", ".join(map(str, whole[:MOST_POSES])) + (", .." if len(whole) > MOST_POSES else "")
+    which = f"pose {named}" if len(whole) == 1 else f"{len(whole)} poses ({named})"
+    return [
+        f"all centres of {which} were rejected: that may be an effect of few poses, of which this diagnosis then says nothing; look at them"
+    ]
 
 
 def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
