@@ -39,12 +39,12 @@ class Departure:
     poses: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        scale, unit = (180 / np.pi, "°") if is_angle(self.covariate) else (1.0, "")
+        scale, unit = (180 / np.pi, "°") if is_angle(self.covariate) else (1.0, " N·m" if "torque" in self.covariate else "")
         listed = ", ".join(map(str, self.poses[:NAMED_POSES])) + (", .." if len(self.poses) > NAMED_POSES else "")
         which = f" (numbers {listed})" if self.poses else ""
         return (
             f"{self.covariate} leaves the range in which {', '.join(self.effects)} was learnt at {self.share:.0%} of the poses{which}, "
-            f"here {scale * self.low:.4g} to {scale * self.high:.4g}{unit}: expect less of it there"
+            f"here {scale * self.low:.4g} to {scale * self.high:.4g}{unit}: no data support it there"
         )
 
 

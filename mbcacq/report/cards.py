@@ -47,7 +47,7 @@ def _card(number: int, effect: EffectContent) -> list[str]:
         ("what", f"{what}" + (f", depends on {effect.depends_on}" if effect.depends_on else "")),
         ("where", where),
         ("how much (± is k = 2)", f"a trend: {effect.trend}" if effect.trend else much or "see its response curve"),
-        ("how sure", f"{effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
+        ("how sure", effect.p_value + (f"; removes {effect.gain} of the excess over noise in held-out data" if effect.gain else "")),
     ]
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]

@@ -217,6 +217,8 @@ class EffectContent:
     ----------
     parameters : list[tuple[str, str, str, str]]
         (name, value, expanded uncertainty, unit) as texts.
+    gain : str
+        Share of the excess over noise that it removes on held-out data; empty where none is stated.
     harmonics : tuple[list[str], list[list[str]]] or None
         Harmonics of a periodic effect, the heads of a table and a row a harmonic.
     alternatives : list[str]

@@ -6,7 +6,9 @@ from mbcacq.diagnosis.effect_found import Alternative, EffectFound
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.result import Diagnosis, EstimatedNoise, ExclusionLimit, FitFigures, FitSummary, GeometryAlone, HeldOutFigures
+from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 
 NOISE = EstimatedNoise(scanner_mm=(0.003, 0.003, 0.005), joint_rad=(5e-6,) * 6)
 GEOMETRY = GeometryAlone(
@@ -104,6 +106,28 @@ def test_of_several_effects_that_stand_together_each_is_in_words():
     other = (NotSeparable(("payload:mount", "backlash:A1 and unknown:link2"), 0.98, 0.3),)
     text = words(diagnosed("cannot_tell", SOFT, not_separable=other))
     assert "payload at mount and backlash at A1 together with unmodelled effect at link2 cannot be told apart" in text
+
+
+def test_a_search_that_was_cut_short_blames_the_time_and_not_the_poses():
+    text = words(diagnosed("cannot_tell", SOFT, notes=(OUT_OF_TIME,), model=("some terms",)))
+    assert text.startswith("Cannot tell: time ran out before all explanations were compared.")
+    assert "What next: give the diagnosis more time (--minutes)" in text
+
+
+def test_what_differs_between_recordings_is_to_be_understood_first():
+    two = BetweenRecordings(
+        name="joint_compliance",
+        where=("A2",),
+        parameter="A2.compliance_rad_per_Nm",
+        values=(3e-6, 2.4e-6),
+        stds=(2e-8, 2e-8),
+        common=2.7e-6,
+        common_std=3e-7,
+        between_std=4e-7,
+        p_value=1e-9,
+    )
+    text = words(diagnosed("explained", SOFT, between_recordings=(two,)))
+    assert "What next: find out why A2 compliance differs between the recordings: another tool" in text
 
 
 def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():

@@ -9,7 +9,7 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.output.notes import not_carried_over, single_place
+from mbcacq.diagnosis.output.notes import not_carried_over, rejected_poses, single_place
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
@@ -140,10 +140,24 @@ def test_what_parts_of_a_recording_do_not_confirm_is_said_to_be_uncertain_beyond
     assert not not_carried_over("partly_explained", scores(900.0))
 
 
+def test_a_pose_that_was_rejected_as_a_whole_may_show_an_effect(plan):
+    keep = np.ones(plan.n_centres, dtype=bool)
+    keep[np.flatnonzero(plan.pose == 3)[0]] = False
+    assert rejected_poses(plan, keep) == []
+    keep[plan.pose == 3] = False
+    assert rejected_poses(plan, keep)[0].startswith(
+        f"all centres of pose {plan.pose_id[3]} were rejected: that may be an effect of few poses"
+    )
+    keep[plan.pose == 5] = False
+    assert f"all centres of 2 poses ({plan.pose_id[3]}, {plan.pose_id[5]}) were rejected" in rejected_poses(plan, keep)[0]
+
+
 def test_what_happened_at_one_station_is_not_judged_by_leaving_that_station_out():
     one = PredictiveScore(1.0, 100, 900.0, 300.0)
     drift = EffectFound(name="station_drift", where=("station3",), parameters={}, p_value=1e-30, held_out_gain=0.1)
     (note,) = not_carried_over("explained", CrossValidation(one, one, "station", {}), [drift])
     assert "what happens at station3 alone is not known where the whole station is left out" in note
+    little = PredictiveScore(1.0, 100, 390.0, 300.0)  # beyond noise, and less than is spoken of else
+    assert not_carried_over("explained", CrossValidation(little, little, "station", {}), [drift]) == [note]
     (note,) = not_carried_over("explained", CrossValidation(one, one, "block", {}), [drift])
     assert "3.0 times the variance" in note

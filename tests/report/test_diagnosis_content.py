@@ -29,6 +29,50 @@ def test_components_of_a_vector_are_no_harmonics():
     assert effect.harmonics is None
 
 
+def test_only_orders_of_a_joint_are_harmonics():
+    """The values of two recordings, and the scale of a scanner along x, y and z, are none."""
+    content = diagnosis()
+    two, three = {"value": [3e-6, 2.4e-6], "std": [2e-8, 2e-8]}, {"value": [0.0, 0.0, 290.0], "std": [0.0, 0.0, 15.0]}
+    content["effects"][0]["parameters"] = {"A2.compliance_rad_per_Nm": two, "scale_ppm": three}
+    effect = diagnosis_content(Diagnosis.from_json(content), None).effects[0]
+    assert effect.harmonics is None
+    assert [row[0] for row in effect.parameters] == ["A2 compliance [1]", "A2 compliance [2]", "scale x", "scale y", "scale z"]
+    order = {"value": [100.0, 2.0], "std": [0.1, 0.3]}
+    content["effects"][0]["parameters"] = {"A1.order": order, "A1.amplitude_deg": {"value": [0.004, 0.003], "std": [1e-4, 1e-4]}}
+    effect = diagnosis_content(Diagnosis.from_json(content), None).effects[0]
+    assert effect.harmonics == (
+        ["A1 order", "A1 amplitude / °"],
+        [["100.00 ± 0.20", "0.00400 ± 0.00020"], ["2.00 ± 0.60", "0.00300 ± 0.00020"]],
+    )
+
+
+def test_a_trend_that_does_not_help_removes_no_share():
+    content = diagnosis()
+    content["effects"][0] |= {"held_out_gain": 0.27, "held_out_gain_std": 0.3}
+    shown = diagnosis_content(Diagnosis.from_json(content), None)
+    assert shown.effects[0].trend == "held-out data are predicted as well without it"
+    assert "removes" not in diagnosis_cards(shown)
+
+
+def test_what_differs_between_recordings_is_a_remark():
+    content = diagnosis()
+    content["between_recordings"] = [
+        {
+            "name": "joint_compliance",
+            "where": ["A2"],
+            "parameter": "A2.compliance_rad_per_Nm",
+            "values": [3e-6, 2.4e-6],
+            "stds": [2e-8, 2e-8],
+            "common": 2.7e-6,
+            "common_std": 3e-7,
+            "between_std": 4e-7,
+            "p_value": 1e-9,
+        }
+    ]
+    remarks = diagnosis_content(Diagnosis.from_json(content), None).remarks
+    assert any(r.startswith("A2 compliance in the recordings: 3.000 ± 0.040, 2.400 ± 0.040; common") for r in remarks)
+
+
 def test_a_trend_stands_behind_the_findings_without_a_number():
     """The warm-up is first by its evidence; its size is not beyond twice its standard deviation."""
     content = diagnosis()

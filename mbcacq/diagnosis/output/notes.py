@@ -27,10 +27,11 @@ from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import micrometres, p_value, significant, with_unit
+from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
+MOST_POSES = 8  # whose numbers are listed
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
 
@@ -47,6 +48,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     if dropped:
         rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
         out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
+        out += rejected_poses(full.geometry_only.linear.obs, keep)
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
@@ -54,6 +56,22 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
             "its size in rad/Nm is not meaningful"
         )
     return out
+
+
+def rejected_poses(obs: Observations, keep: np.ndarray) -> list[str]:
+    """A sentence where all centres of a pose were rejected, several at least: wrong centres are wrong by themselves.
+
+    keep: (M,) bool of the centres that took part.
+    """
+    count, kept = (np.bincount(obs.pose[chosen], minlength=obs.n_poses) for chosen in (slice(None), keep))
+    whole = obs.pose_id[(count > 1) & (kept == 0)]
+    if not len(whole):
+        return []
+    named = ", ".join(map(str, whole[:MOST_POSES])) + (", .." if len(whole) > MOST_POSES else "")
+    which = f"pose {named}" if len(whole) == 1 else f"{len(whole)} poses ({named})"
+    return [
+        f"all centres of {which} were rejected: that may be an effect of few poses, of which this diagnosis then says nothing; look at them"
+    ]
 
 
 def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
@@ -130,15 +148,17 @@ def single_place(setup: DiagnosisProblem) -> list[str]:
 def not_carried_over(verdict: str, validation: CrossValidation, effects: Sequence[EffectFound] = ()) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
     left_out = validation.after
-    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noticeable:
+    if verdict != "explained":
         return []
     moved = [at for e in effects for at in e.where if at.startswith("station")]
-    if moved and validation.split == "station":
+    if moved and validation.split == "station" and left_out.chi2_dof > 1 + K * np.sqrt(2 / max(left_out.dof, 1)):
         each = ", ".join(moved)
         return [
             f"what happens at {each} alone is not known where the whole station is left out: it stays in the figures of held-out data, "
             "and these do not judge it"
         ]
+    if left_out.chi2_dof <= OPTIONS.noticeable:
+        return []
     part = "a place" if validation.split == "station" else "a part of the poses"
     return [
         f"errors at {part} that is left out have {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
+from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
@@ -26,6 +27,7 @@ VERDICTS = {
     "cannot_tell": "Cannot tell: these {data} do not separate the candidates, or do not show them.",
 }
 NOT_TOLD_APART = "Cannot tell: these {data} do not separate the possible causes of the mismatch."
+LATE = "Cannot tell: time ran out before all explanations were compared."
 OPEN = "Cannot tell: these {data} leave open whether there is an effect."
 TREND_ALONE = "A trend alone: the evidence shows an effect, and it is too weak for a figure."
 MOST_NAMED = 4  # effects in the first lines
@@ -59,7 +61,9 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
 def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
     """The verdict, with the distance of the model from the noise if it is known. A verdict ``cannot_tell`` names the effects."""
     sentence = VERDICTS[d.verdict]
-    if d.verdict == "cannot_tell" and d.not_separable:
+    if isinstance(d, Diagnosis) and OUT_OF_TIME in d.notes:
+        sentence = LATE
+    elif d.verdict == "cannot_tell" and d.not_separable:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = OPEN
@@ -163,12 +167,8 @@ def how_sure(d: Diagnosis) -> str:
 
 def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
-    if d.advice:
-        return d.advice[0].reason
-    if d.not_separable:
-        return "measure more, at postures that the recording does not have: these poses do not decide between the remaining explanations"
-    if d.effects and all(e.trend == REMOVES_NOTHING for e in d.effects):
-        return "measure more poses: what was found is too weak to predict held-out data"
+    if open_first := what_is_open(d):
+        return open_first
     if d.model:
         taken = "verify the calibration with what was found on another recording (mbcacq verify), or use it"
         return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
@@ -176,6 +176,21 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     if floor.fit_is_the_rest and floor.after_mm > DIAGNOSIS.noticeable * floor.floor_mm:
         return f"measure more poses: what these determine predicts others to {micrometres(floor.after_mm)} only"
     return what_could_hide(d.exclusion_limits)
+
+
+def what_is_open(d: Diagnosis) -> str:
+    """What to do before anything found is tried; empty where nothing is open."""
+    if OUT_OF_TIME in d.notes:
+        return "give the diagnosis more time (--minutes)"
+    if d.advice:
+        return d.advice[0].reason
+    if d.not_separable:
+        return "measure more, at postures that the recording does not have: these poses do not decide between the remaining explanations"
+    if differing := [split_unit(b.parameter)[0] for b in d.between_recordings if b.differs]:
+        return f"find out why {', '.join(differing)} differs between the recordings: another tool, another stated mass, temperature or wear"
+    if d.effects and all(e.trend == REMOVES_NOTHING for e in d.effects):
+        return "measure more poses: what was found is too weak to predict held-out data"
+    return ""
 
 
 def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:

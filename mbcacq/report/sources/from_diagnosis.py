@@ -12,10 +12,11 @@ from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import Findings
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.pictures import axis_of
-from mbcacq.diagnosis.output.text import first_sentence, likelihood, noise_floor, open_lines, size_of_shape
+from mbcacq.diagnosis.output.text import difference, first_sentence, likelihood, noise_floor, open_lines, size_of_shape
 from mbcacq.diagnosis.result import Diagnosis, FitFigures
 from mbcacq.effects.effect import ParameterEstimate, Parameters
 from mbcacq.effects.in_words import CHANNELS, spelt_out
+from mbcacq.effects.trend import REMOVES_NOTHING
 from mbcacq.quantities import K, capitalised, fixed, micrometres, p_value, pair, percent, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent, TrialContent
 from mbcacq.report.verdict import readable
@@ -30,20 +31,26 @@ def diagnosis_content(found: Diagnosis, pictures: Mapping[str, Any] | None, chec
     fit, floor = found.fit, noise_floor(found)
     each = (("data fitted", fit.train), (f"held-out data (by {fit.held_out.split})", fit.held_out))
     return DiagnosisContent(
-        **what_every_diagnosis_says(found, floor),
+        **what_every_diagnosis_says(found, floor, floor.is_excess(fit.held_out.before_chi2_dof)),
         mismatch=mismatch_rows(found),
         validation=[(label, *_misfits(figures)) for label, figures in each],
         noise_floor=floor.noise,
         trials=list(map(trial_content, checks)),
-        remarks=[*open_remarks(found), *(f"{_note(note)}." for note in found.notes)],
+        remarks=[
+            *open_remarks(found),
+            *(f"{difference(one)}." for one in found.between_recordings),
+            *(f"{_note(note)}." for note in found.notes),
+        ],
         **(_drawn(pictures) if pictures is not None and _complete(pictures) else {}),
     )
 
 
-def what_every_diagnosis_says(found: Findings, floor: NoiseFloor | None = None) -> dict[str, Any]:
-    """Fields of DiagnosisContent: verdict and effects, the findings before the trends."""
+def what_every_diagnosis_says(found: Findings, floor: NoiseFloor | None = None, excess: bool = True) -> dict[str, Any]:
+    """Fields of DiagnosisContent: verdict and effects, the findings before the trends. excess: of held-out data, of which effects remove a
+    share.
+    """
     headline, _, reason = first_sentence(found, floor).partition(": ")
-    effects = sorted(map(effect_content, found.effects), key=lambda e: bool(e.trend))
+    effects = sorted((effect_content(e, excess) for e in found.effects), key=lambda e: bool(e.trend))
     return {"level": LEVELS[found.verdict], "headline": headline, "reason": capitalised(reason), "effects": effects}
 
 
@@ -107,21 +114,22 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
     return all(even)
 
 
-def effect_content(effect: EffectFound) -> EffectContent:
+def effect_content(effect: EffectFound, excess: bool = True) -> EffectContent:
     """An effect of a diagnosis of poses or of motion; an unmodelled one of a motion has a size in place of parameters."""
     name, trend = spelt_out(effect.name), effect.trend
     at = ", ".join(OF_CHANNELS.get(where, where) for where in effect.where)
     shown = {} if trend else effect.parameters
+    harmonics = _of_harmonics(shown)
     notes = [] if effect.shape is None else [f"{capitalised(size_of_shape(effect, effect.shape))}."]
     notes += [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in effect.notes)]
     return EffectContent(
         title=f"Trend: {name} at {at}" if trend else f"{capitalised(name)} at {at}",
         depends_on=axis_of(effect.depends_on)[0] if effect.depends_on else "",
         p_value=p_value(effect.p_value),
-        gain=percent(effect.gain_here),
-        parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
+        gain=percent(effect.gain_here) if excess and trend != REMOVES_NOTHING else "",
+        parameters=[row for key, entry in shown.items() if key not in harmonics for row in _parameter(key, entry)],
         alternatives=[f"{spelt_out(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives],
-        harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
+        harmonics=_harmonics(harmonics),
         trend=trend,
         notes=notes,
     )
@@ -141,11 +149,13 @@ def _note(note: str) -> str:
 
 def _is_vector(key: str, entry: ParameterEstimate) -> bool:
     """Whether the values are components along x, y and z."""
-    return (key.endswith("_mm") or key.startswith("rotation_")) and len(entry.components[0]) == 3
+    return (key.endswith("_mm") or key.startswith(("rotation_", "scale_"))) and len(entry.components[0]) == 3
 
 
-def _of_harmonics(key: str, entry: ParameterEstimate) -> bool:
-    return len(entry.components[0]) > 1 and not _is_vector(key, entry)
+def _of_harmonics(parameters: Parameters) -> Parameters:
+    """Those of several orders of a joint. Values of several breakpoints or recordings are no harmonics."""
+    several = {key: entry for key, entry in parameters.items() if len(entry.components[0]) > 1 and not _is_vector(key, entry)}
+    return several if any(key.rpartition(".")[2] == "order" for key in several) else {}
 
 
 def _harmonics(parameters: Parameters) -> tuple[list[str], list[list[str]]] | None:
