@@ -21,6 +21,10 @@ FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
 THE_CONTENT, CURE = "this JSON content", "give a diagnosis as mbcacq diagnose --out writes it"
 TOGETHER = " and "  # between effects that stand together on one side of a pair
+OUT_OF_TIME = (
+    "time ran out before all explanations were compared: the effects that are listed were found by then, and held-out figures could be "
+    "better; give the diagnosis more time (--minutes)"
+)
 MOST_PARAMETERS = 8  # of an effect, in a table of a notebook
 
 Format = Annotated[str, WithJsonSchema({"type": "string", "const": FORMAT})]
@@ -163,6 +167,11 @@ class Findings:
         Raises ConfigError where the object has another format or lacks a key.
         """
         return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the search ended before all explanations were compared."""
+        raise NotImplementedError
 
     @property
     def held_out(self) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
-from mbcacq.diagnosis.findings import EvidenceSummary, Findings
+from mbcacq.diagnosis.findings import OUT_OF_TIME, EvidenceSummary, Findings
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
@@ -249,6 +249,10 @@ class Diagnosis(Findings):
     noise_depends_on: tuple[NoiseDependence, ...] = ()
     model: Model = field(default=None, compare=False)
     evidence: EvidenceSummary | None = None
+
+    @property
+    def out_of_time(self) -> bool:
+        return OUT_OF_TIME in self.notes
 
     @property
     def held_out(self) -> str:

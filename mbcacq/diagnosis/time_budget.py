@@ -7,11 +7,6 @@ from dataclasses import dataclass, replace
 
 SEARCHING = 0.6  # share of the time for the search of the whole recording; what is left is for the parts of its validation
 
-OUT_OF_TIME = (
-    "time ran out before all explanations were compared: the effects that are listed were found by then, and held-out figures could be "
-    "better; give the diagnosis more time (--minutes)"
-)
-
 
 @dataclass(frozen=True)
 class TimeBudget:

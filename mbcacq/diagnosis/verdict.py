@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, pairs_not_separable, verdict_by_evidence, with_alternatives
-from mbcacq.diagnosis.findings import NotSeparable
+from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
@@ -23,7 +23,6 @@ from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_l
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
 from mbcacq.effects.in_words import odds_in_words

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound
-from mbcacq.diagnosis.findings import NotSeparable
+from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
 from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.result import Diagnosis, EstimatedNoise, ExclusionLimit, FitFigures, FitSummary, GeometryAlone, HeldOutFigures
-from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 

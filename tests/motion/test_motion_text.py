@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis.effect_found import EffectFound, ResponseShape
-from mbcacq.diagnosis.motion.result import FitOfMotion, MotionDiagnosis
+from mbcacq.diagnosis.findings import OUT_OF_TIME
+from mbcacq.diagnosis.motion.result import ChannelFit, ErrorBeforeAfter, FitOfMotion, MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import describe
 from mbcacq.effects.effect import ParameterEstimate, number
@@ -64,6 +65,23 @@ def test_the_same_of_poses():
     lines = describe(EffectFound(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
     assert "  A2 phase is not determined" in lines
     assert "  A2 amplitude (0.0100 ± 0.0020)°" in lines
+
+
+def test_time_that_ran_out_is_no_fault_of_the_data():
+    found = MotionDiagnosis(
+        verdict="cannot_tell", mismatch=(), effects=(), fit=FitOfMotion.of((), "trajectory"), suspicions=(OUT_OF_TIME, "a sign is wrong")
+    )
+    text = motion_text(found)
+    assert text.startswith("Cannot tell: time ran out before all explanations were compared.")
+    assert "The description of the data looks wrong: time" not in text
+    assert "The description of the data looks wrong: a sign is wrong" in text
+
+
+def test_a_degree_sign_stands_at_its_number():
+    error = ErrorBeforeAfter(0.0356, 0.00384, 9.0, 1.0)
+    one = ChannelFit(channel="q_joint", at="A1", unit="deg", noise_floor=0.003, train=error, held_out=error)
+    found = MotionDiagnosis(verdict="explained", mismatch=(), effects=(), fit=FitOfMotion.of((one,), "trajectory"))
+    assert "0.0356° before, 0.00384 after" in motion_text(found)
 
 
 def unmodelled(channel, y):

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.findings import OUT_OF_TIME
 from mbcacq.diagnosis.motion.assemble import assemble, checked_channels, cut_short
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
@@ -23,7 +24,7 @@ from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.time_budget import OUT_OF_TIME, UNLIMITED, TimeBudget
+from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError

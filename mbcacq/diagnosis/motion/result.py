@@ -10,11 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.findings import FORMAT, EvidenceSummary, Findings
+from mbcacq.diagnosis.findings import FORMAT, OUT_OF_TIME, EvidenceSummary, Findings
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import EveryKey, Number
+from mbcacq.quantities import capitalised
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,15 @@ class MotionDiagnosis(Findings, EveryKey):
     def named_effects(self) -> tuple[EffectFound, ...]:
         """The parametric effects."""
         return tuple(e for e in self.effects if e.name != UNKNOWN)
+
+    @property
+    def out_of_time(self) -> bool:
+        return OUT_OF_TIME in self.suspicions
+
+    @property
+    def remarks(self) -> list[str]:
+        """The suspicions as sentences without a full stop. That time ran out is said beside them, and is none."""
+        return [capitalised(s) if s == OUT_OF_TIME else f"The description of the data looks wrong: {s}" for s in self.suspicions]
 
     @property
     def held_out(self) -> str:

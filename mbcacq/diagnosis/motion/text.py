@@ -6,7 +6,7 @@ from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis
 from mbcacq.diagnosis.output.evidence_summary import e_value_in_words
 from mbcacq.diagnosis.output.text import effect_lines, first_sentence, mismatch_lines, open_lines
 from mbcacq.effects.in_words import CHANNELS
-from mbcacq.quantities import significant, symbol
+from mbcacq.quantities import significant, symbol, with_unit
 
 MOST_ROWS = 12  # of the mismatch
 
@@ -18,8 +18,7 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
 
 def motion_details(diagnosis: MotionDiagnosis) -> str:
     """What the verdict rests on: mismatch, effects with their parameters, and residuals on held-out data, in lines."""
-    lines = [f"The description of the data looks wrong: {s}" for s in diagnosis.suspicions]
-    lines += [""] if diagnosis.suspicions else []
+    lines = [*diagnosis.remarks, ""] if diagnosis.suspicions else []
     lines += mismatch_lines(diagnosis.mismatch[:MOST_ROWS])
     lines += effect_lines(diagnosis.effects)
     lines += open_lines(diagnosis.not_separable, diagnosis.advice)
@@ -32,13 +31,13 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     for check in diagnosis.checks:
         lines += ["", f"Tried on {check.recording or 'the other recording'}, from which nothing was learnt:"]
         for one in check.channels:
-            rms = f"{significant(one.error.before_rms)} {symbol(one.unit)} before, {significant(one.error.after_rms)} after"
+            rms = f"{with_unit(significant(one.error.before_rms), symbol(one.unit))} before, {significant(one.error.after_rms)} after"
             lines.append(f"  {one.at} {CHANNELS[one.channel]}: {rms}")
     return "\n".join(lines)
 
 
 def _held_out(c: ChannelFit) -> str:
-    before = f"{significant(c.held_out.before_rms)} {symbol(c.unit)} before"
+    before = f"{with_unit(significant(c.held_out.before_rms), symbol(c.unit))} before"
     if c.refused_rms is not None:
         return f"{before}; {significant(c.refused_rms)} with the model of the other parts, which is refused"
     return f"{before}, {significant(c.held_out.after_rms)} after"

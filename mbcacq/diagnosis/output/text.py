@@ -11,7 +11,6 @@ from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
-from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
@@ -61,7 +60,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
 def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
     """The verdict, with the distance of the model from the noise if it is known. A verdict ``cannot_tell`` names the effects."""
     sentence = VERDICTS[d.verdict]
-    if isinstance(d, Diagnosis) and OUT_OF_TIME in d.notes:
+    if d.out_of_time:
         sentence = LATE
     elif d.verdict == "cannot_tell" and d.not_separable:
         sentence = NOT_TOLD_APART
@@ -180,7 +179,7 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
 
 def what_is_open(d: Diagnosis) -> str:
     """What to do before anything found is tried; empty where nothing is open."""
-    if OUT_OF_TIME in d.notes:
+    if d.out_of_time:
         return "give the diagnosis more time (--minutes)"
     if d.advice:
         return d.advice[0].reason

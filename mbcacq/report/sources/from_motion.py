@@ -95,7 +95,7 @@ def _content(found: MotionDiagnosis, series: MotionSeries, both: PosesAndMotion 
             TrialContent(recording=one.recording or "another recording", heads=TRIED, rows=[_checked(c) for c in one.channels], words=2)
             for one in found.checks
         ],
-        remarks=[*(f"The description of the data looks wrong: {text}." for text in found.suspicions), *open_remarks(found)],
+        remarks=[*(f"{remark}." for remark in found.remarks), *open_remarks(found)],
         contradictions=[] if both is None else both.contradictions,
         both=[] if both is None else _as_one_problem(both),
     )
