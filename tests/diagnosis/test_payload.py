@@ -122,7 +122,7 @@ def test_a_payload_that_stands_for_elastic_joints_needs_odds_of_twenty_to_one(od
     reported = reported_hypothesis(fit)
 
     assert reported.labels == frozenset(wrong_tool if claimed else elastic)
-    assert [(c.name, odds) for c, odds in coupled_instead(fit, reported)] == ([] if claimed else [("payload", pytest.approx(1.0))])
+    assert [(c.name, odds) for c, odds in coupled_instead(fit, reported)] == ([] if claimed else [("payload", pytest.approx(10.0))])
 
 
 def test_a_payload_that_is_not_excluded_and_changes_a_compliance_leaves_it_open():

@@ -48,6 +48,8 @@ def desk(tmp_path: Path) -> Path:
         at_full_speed(plan, speed=0.5)
         with plan.open("a", encoding="utf-8") as end:
             end.write("\nfake: {pitch_mm: 1.0}\n")
+    at_full_speed(tmp_path / "plans" / "kuka.yaml")
+    at_full_speed(tmp_path / "plans" / "concealed.yaml", scan_time_s=1.0)
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
     bin = tmp_path / ".venv" / "bin"

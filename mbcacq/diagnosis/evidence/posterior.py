@@ -13,6 +13,8 @@ from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.declaration import EffectCoupling
 
+MOST_LOG_ODDS = 30.0  # larger ones are no more certain, and would overflow
+
 
 @dataclass(frozen=True)
 class RankedAlternative:
@@ -59,10 +61,10 @@ def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectC
         return []
     best: dict[str, tuple[EffectCoupling, float]] = {}
     for h in fit.hypotheses:
-        odds = h.log_posterior - reported.log_posterior
-        if odds > np.log(OPTIONS.undecided) and is_coupled(h) and is_part(reported, h):
+        odds = relative_odds(h, reported)
+        if odds > OPTIONS.undecided and is_coupled(h) and is_part(reported, h):
             for c in couplings_of(h.members):
-                best[c.name] = max((c, float(np.exp(min(odds, 0.0)))), best.get(c.name, (c, 0.0)), key=lambda one: one[1])
+                best[c.name] = max((c, odds), best.get(c.name, (c, 0.0)), key=lambda one: one[1])
     return list(best.values())
 
 
@@ -78,7 +80,7 @@ def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[R
             if label in h.labels or len(others) != 1 or not rest <= h.labels:
                 continue
             (name,) = others
-            odds = float(np.exp(min(h.log_posterior - base.log_posterior, 0.0)))
+            odds = relative_odds(h, base)
             if name not in best or best[name].odds < odds:
                 best[name] = RankedAlternative(name, odds, h)
     return sorted(best.values(), key=lambda r: -r.odds)
@@ -97,8 +99,15 @@ def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
 def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float, changed: frozenset[str] = frozenset()) -> NotSeparable:
     """The effects that only one of both sets has. correlation: of what that explains; changed: those that both have, of other sizes."""
     ours, theirs = (reported.labels - other.labels) | changed, (other.labels - reported.labels) | changed
-    odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
-    return NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), correlation, odds)
+    sides = TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))
+    return NotSeparable(sides, correlation, relative_odds(other, reported))
+
+
+def relative_odds(one: Hypothesis, other: Hypothesis) -> float:
+    """Posterior probability of a set relative to another. It is above one where the other is reported because it has fewer effects, and
+    these are not excluded.
+    """
+    return float(np.exp(min(one.log_posterior - other.log_posterior, MOST_LOG_ODDS)))
 
 
 def nested(one: Hypothesis, other: Hypothesis) -> bool:

@@ -12,7 +12,7 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
+from mbcacq.diagnosis.evidence.posterior import relative_odds, reported_hypothesis, undecided
 from mbcacq.diagnosis.evidence.untried_rivals import stands_for_untried
 from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.diagnosis.options import OPTIONS
@@ -93,7 +93,7 @@ def untried_in_words(problem: DiagnosisProblem, fit: EvidenceFit) -> list[str]:
         return []
     reported, out = reported_hypothesis(fit), dict[str, str]()
     for other in [reported, *undecided(fit, reported)]:
-        odds = odds_in_words(float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0))))
+        odds = odds_in_words(relative_odds(other, reported))
         for rival in stands_for_untried(problem, other):
             at = "+".join(rival.candidate.where)
             how = "fits best" if other is reported else f"is not excluded ({odds})"
