@@ -15,7 +15,7 @@ class OpcUaOptions(DriverOptions):
     security: as asyncua writes it, such as ``Basic256Sha256,SignAndEncrypt,cert.pem,key.pem``; None: without.
 
     arm: which motion device, where the server has several. axes: browse names in the order of the robot file; None: its rotary axes in
-    the order of their names. angle_unit: where the server states none. expect_model: words that its Model must contain. payload_kg: what its
+    the order of their names. angle_unit: where the server states none. expect_model: words of its Model. payload_kg: what its
     flange load must be. rate_hz: how often it is read. silence_s: without an answer for so long it counts as lost.
 
     limits_deg, speed_deg_s, follow, controller_matrix (n, n), controller_offset_deg (n,): from the plan.
