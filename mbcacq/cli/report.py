@@ -23,7 +23,8 @@ def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_jso
     """Write the report of RUN: one HTML page that opens offline and prints well, or a PDF.
 
     RUN is a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set. A result that is there is used,
-    otherwise the cell is calibrated; so is a diagnosis that 'mbcacq diagnose' kept in the folder of a run. The page of a check says what it found.
+    otherwise the cell is calibrated; so is a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
+    The page of a check says what it found.
 
     \b
     Examples:

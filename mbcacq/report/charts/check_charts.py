@@ -14,7 +14,7 @@ HEIGHT = 260
 
 def check_figures(kept: dict[str, Any]) -> dict[str, Figure]:
     """Difference from the first check, and evidence for a change, over the number of the check (from 1)."""
-    difference = _over_checks(kept, "mean difference", kept["difference_mm"], kept["difference_limit_mm"], "difference / mm")
+    difference = _over_checks(kept, "difference", kept["difference_mm"], kept["difference_limit_mm"], "difference / mm")
     since, before = ([value / np.log(10) for value in kept[name]] for name in ("log_e_by_check", "log_e_since_calibration_by_check"))
     evidence = _over_checks(kept, "since the first check", since, kept["log_threshold"] / np.log(10), "evidence, power of ten")
     evidence.add_scatter(
