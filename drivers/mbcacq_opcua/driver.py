@@ -81,7 +81,7 @@ class OpcUaRobot(ContextDevice):
         )
 
     def facts(self) -> tuple[Fact, ...]:
-        """Of the last reading."""
+        """The last reading gives them."""
         found = {} if self._link is None else dict(self._link.facts)
         mass = found.pop("payload", None)
         load = () if not isinstance(mass, int | float) else (Fact("payload", float(mass), "kg", self._options.payload_tolerance_kg),)

@@ -99,7 +99,7 @@ class UrRtdeRobot(ContextDevice):
         )
 
     def facts(self) -> tuple[Fact, ...]:
-        """Of the last package."""
+        """The last package gives them."""
         if (latest := self._latest) is None:
             return ()
         return (

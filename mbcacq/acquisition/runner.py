@@ -130,7 +130,7 @@ class Runner:
             exposures = GatedExposures(
                 self.loaded, self.bus, scanner, self.find_balls, placement, self.gates, asks_a_person=self.devices.asks_a_person
             )
-            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, exposures, mover, collector, facts, self.gates)
+            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, exposures, mover, collector, facts, options=self.gates)
             self._pass([self.path_home[-1]], mover)
             missed = self._measure_poses(measurement, mover)
             self._pass(self.path_home, mover)
