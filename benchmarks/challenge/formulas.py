@@ -163,16 +163,15 @@ among the first three in **{right} of {len(rows)}**. The forms of {", ".join(OF_
 are not in the dictionary; a formula of their true covariates alone counts for them.
 """,
     ]
-    heads = ("effect", "cell", "true", "rank", "verdict", "best formula", "held-out chi2/dof: before, with it, smooth model")
+    heads = ("effect", "cell", "true", "rank", "verdict", "held-out chi2/dof: before, with it, smooth model")
     heads = (*heads, "again in", "with the draft in the catalogue", "s")
     lines += [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for r in rows:
         best = r["proposals"][0] if r["proposals"] else None
-        shown = best["formula"].replace("|", "&#124;") if best else "none"
         scores = f"{best['before']:.2f}, {best['after']:.2f}, {best['smooth']:.2f} | {best['found_in']}/{best['parts']}" if best else "|"
         true = f"{r['terms']} at {'+'.join(r['where'])}"
         lines.append(
-            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {shown} | {scores} | {r['with_draft']} "
+            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {scores} | {r['with_draft']} "
             f"| {r['seconds']:.0f} |"
         )
     return "\n".join([*lines, ""])

@@ -15,7 +15,7 @@ from detection_power import PowerCell, evidence_of, ninety_percent_point, search
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.run import _begin, _take
-from mbcacq.challenge.scenarios import Scenario, draw, kinds
+from mbcacq.challenge.scenarios import NONE, Scenario, draw, kinds
 from mbcacq.challenge.score import Score
 from mbcacq.challenge.table import markdown, row, summary
 
@@ -113,7 +113,7 @@ def score_page(kept: list[dict]) -> str:
         if not mine:
             continue
         scores = [Score(**r["score"]) for r in mine]
-        rows = summary(scores)
+        rows = [each for each in summary(scores) if each["kind"] == NONE or each["kind"].startswith("all")]
         seconds = np.array([r["seconds"] for r in mine])
         took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
         commits = ", ".join(dict.fromkeys(r.get("code", "unknown") for r in mine))

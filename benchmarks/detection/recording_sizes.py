@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -168,6 +169,7 @@ def sizes_page(records: list[dict]) -> str:
 
     effects = "; ".join(f"{e[0]} {e[1][0]}, {e[2][0]:g}" for e in EFFECTS if e is not None)
     wrong = [r for r in records if judged(r) == "wrong"]
+    names = [", ".join(r["effects"]).split(":")[0] or "no effect" for r in wrong]
     unseen = [r for r in records if judged(r) == "none"]
     possible = sum(r.get("said_possible", False) for r in unseen)
     chi2 = [r["informed_chi2"] for r in unseen]
@@ -186,9 +188,9 @@ def sizes_page(records: list[dict]) -> str:
         *grouped("poses", lambda r: (r["job"][1],)),
         *grouped("instrument", lambda r: (r["job"][0],)),
         *grouped("stated noise / true", lambda r: (r["job"][2],)),
-        *grouped("instrument | poses | stated noise / true", lambda r: tuple(r["job"][:3])),
-        *(["Wrong ones:", ""] if wrong else ["None was wrong."]),
-        *[f"- {' '.join(str(part) for part in r['job'])}: {r['verdict']}, {', '.join(r['effects']) or 'no effect'}" for r in wrong],
+        f"Wrong ones by what they report: {', '.join(f'{name} {n}' for name, n in Counter(names).most_common())}."
+        if wrong
+        else "None is wrong.",
     ]
     return "\n".join(lines) + "\n"
 

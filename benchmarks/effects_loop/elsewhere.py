@@ -116,9 +116,9 @@ def page(kept: list[dict[str, Any]]) -> str:
             *(f"{1e3 * r[key]:.1f}" for key in ("own_mm", "geometry_mm", "with_effects_mm")),
             f"{r['error_over_sigma']:.2f}",
             "{:.2f} to {:.2f}".format(*r["usual"]),
-            ("worse " if is_worse(r) else "") + ("untrue" if is_untrue(r) else ""),
         ]
         for r in rows
+        if is_worse(r) or is_unusual(r)
     ]
     heads = [
         "effects",
@@ -129,9 +129,9 @@ def page(kept: list[dict[str, Any]]) -> str:
         "beyond 0.8 to 1.2",
         "beyond what is usual",
     ]
-    errors = ["geometry fitted there, um", "learnt geometry, um", "with effects, um", "error / uncertainty", "usual", ""]
+    errors = ["geometry fitted there, um", "learnt geometry, um", "with effects, um", "error / uncertainty", "usual"]
     columns = ["cell", "truth", "learnt", *errors]
-    return "\n".join([PAGE, "", *table(heads, said), "", *table(columns, each), ""])
+    return "\n".join([PAGE, "", *table(heads, said), "", "Cells that are worse or beyond what is usual:", "", *table(columns, each), ""])
 
 
 PAGE = """# Learnt here, tried elsewhere

@@ -44,14 +44,11 @@ def rows_of(name: str, kept: Kept) -> list[list[str]]:
     return [[name, *key, *(str(counts[(*key, way)] or "") for way in HEADS[3:])] for key in keys]
 
 
-def write_page(rows: list[list[str]]) -> None:
-    """Rows of these commands in place of those that the page has of them; new ones come last."""
-    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
-    there = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-    there = [row for row in there if len(row) == len(HEADS) and row[0] != HEADS[0]]
-    struck = {row[0] for row in rows}
-    names = dict.fromkeys(row[0] for row in (*there, *rows))
-    put(PAGE, "\n".join(table(HEADS, [row for name in names for row in (rows if name in struck else there) if row[0] == name])))
+def totals(kept: Kept) -> list[str]:
+    """Table of all commands together, a row for each kind of strike."""
+    counts = Counter((row["strike"], row["found"].partition(":")[0]) for row in kept.rows)
+    kinds = sorted({kind for kind, _ in counts})
+    return table(("strike", *HEADS[3:]), [[kind, *(str(counts[kind, way]) for way in HEADS[3:])] for kind in kinds])
 
 
 def commands(given: argparse.Namespace) -> int:
@@ -83,7 +80,7 @@ def commands(given: argparse.Namespace) -> int:
             strike(struck, given.seed, kept)
             print("\n".join(table(HEADS, rows_of(name, kept))), flush=True)
     if given.write:
-        write_page([row for name in wanted for row in rows_of(name, kept)])
+        put(PAGE, "\n".join(totals(kept)))
     bad = sum(row["found"].startswith("neither") for row in kept.rows)
     print(f"{len(kept.rows)} strikes, {bad} neither")
     return 1 if bad else 0

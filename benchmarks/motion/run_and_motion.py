@@ -203,15 +203,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         lines = [line for r in dry for line in three_lines([f"{tool(r['tool_kg'])[0]:g} ({DECLARED_KG:g} declared)", r["seed"]], r)]
         parts += ["## Dry runs", "", *table(["concealed tool, kg", "seed", *HEADS], lines), ""]
     if short:
-        parts += [
-            SHORT,
-            "",
-            *counted(short),
-            "",
-            *table(["poses", "seed", *HEADS], [line for r in short for line in three_lines([r["count"], r["seed"]], r)]),
-            "",
-        ]
-        parts += [NOTES, ""]
+        parts += [SHORT, "", *counted(short), "", NOTES, ""]
     if other:
         found = sum(bool(r["contradictions"]) and r["verdicts"][2] == "cannot_tell" for r in other)
         false = sum(bool(r["contradictions"]) for r in short)

@@ -1,19 +1,29 @@
-"""The site shows the pages of ``benchmarks/`` too, under the links that work in a checkout; its search works from a folder, offline."""
+"""What the site has beyond ``docs/``: the pages of ``benchmarks/``, reference pages made from the code, a search that works offline."""
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path, PurePosixPath
 
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "_make"))
+
+from command_line import command_line  # noqa: E402
+from error_catalogue import error_catalogue  # noqa: E402
+from plan_schema import plan_schema  # noqa: E402
+
+REFERENCE = {"command-line.md": command_line, "plan-schema.md": plan_schema, "errors.md": error_catalogue}
 SHIM = '<script src="https://unpkg.com/iframe-worker/shim"></script>'  # the theme's, fetched from outside
 LINK = re.compile(r"(\]\()((?:\.\./)+)(docs|benchmarks)/")
 
 
 def on_files(files: Files, config) -> Files:
-    """Add every page of benchmarks/ at the same place in the site."""
+    """Add every page of benchmarks/ at the same place in the site, and the pages that follow from the code."""
+    for name, made in REFERENCE.items():
+        files.append(File.generated(config, f"reference/{name}", content=made()))
     for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg")):
         files.append(File.generated(config, f"benchmarks/{page.name}", abs_src_path=str(page)))
     files.append(File.generated(config, "assets/offline_search.js", abs_src_path=str(ROOT / "docs" / "_make" / "offline_search.js")))

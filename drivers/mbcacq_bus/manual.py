@@ -7,11 +7,10 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field, is_interactive, parse_options, typed_line
-from mbcacq_bus.options import BusOptions
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DriverOptions, Field, is_interactive, parse_options, typed_line
 
 
-class ManualOptions(BusOptions):
+class ManualOptions(DriverOptions):
     assume_yes: bool = False
 
 

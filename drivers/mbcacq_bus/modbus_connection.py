@@ -6,19 +6,18 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mbcacq.devices import HOST
-from mbcacq_bus.options import BusOptions
+from mbcacq.devices import HOST, DriverOptions
 from mbcacq_bus.registers import Register
 
 
-class Identity(BusOptions):
+class Identity(DriverOptions):
     """A register that must hold a certain value, so that the wrong box is noticed before anything moves."""
 
     where: Register
     equals: float
 
 
-class Connection(BusOptions):
+class Connection(DriverOptions):
     """Either ``host`` (Modbus TCP) or ``serial`` (RTU: a device name, or socket://host:port for a serial server).
 
     idle_poll_s: a connection that nobody has used for so long is read once, since many controllers close an idle one; 0 for never.

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from mbcacq.devices import DriverOptions
 
 
-class BusOptions(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class StationOptions(BusOptions):
+class StationOptions(DriverOptions):
     """stations: station id -> position. limits: of the position; a station outside is refused."""
 
     stations: dict[str | int, float] = Field(min_length=1)

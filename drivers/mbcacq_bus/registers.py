@@ -7,14 +7,14 @@ from typing import Literal
 
 from pydantic import Field
 
-from mbcacq_bus.options import BusOptions
+from mbcacq.devices import DriverOptions
 
 Table = Literal["holding", "input", "coil", "discrete"]
 
 _CODES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f"}
 
 
-class Register(BusOptions):
+class Register(DriverOptions):
     """value = raw * scale + offset. ``word_order`` big: the high word comes first. ``bit`` picks one bit of a 16-bit register. ``valid``:
     what a sensor may read; beyond it its probe is taken to be broken. ``max_rate``: how fast it can change, unit/s; a faster change is
     read again and then refused."""

@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, IdentityError, ProtocolError
-from mbcacq_bus.options import BusOptions
+from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, DriverOptions, IdentityError, ProtocolError
 from mbcacq_bus.serial_port import close_port, open_port, waiting_bytes
 
 MAX_LINE = 1024
@@ -21,14 +20,14 @@ _LONGEST = 5.0  # time-outs waited for a line to fall silent
 _STEP_S = 0.005
 
 
-class SerialIdentity(BusOptions):
+class SerialIdentity(DriverOptions):
     """Send ``ask`` on connecting; a line must match ``expect`` as a whole."""
 
     ask: str
     expect: str
 
 
-class SerialPortOptions(BusOptions):
+class SerialPortOptions(DriverOptions):
     """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server."""
 
     port: str

@@ -11,23 +11,34 @@ from typing import Any
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, ProtocolError, parse_options
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ContextDevice,
+    Description,
+    DeviceFault,
+    DeviceTimeout,
+    DriverOptions,
+    Field,
+    ProtocolError,
+    parse_options,
+)
 from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.options import BusOptions, StationOptions
+from mbcacq_bus.options import StationOptions
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
 POLL_S = 0.05
 DEVICE = "the serial positioner"
 
 
-class Order(BusOptions):
+class Order(DriverOptions):
     """A text to send. reply: pattern of the line that acknowledges it, where there is one."""
 
     send: str
     reply: str | None = None
 
 
-class Query(BusOptions):
+class Query(DriverOptions):
     """A question, and the pattern (of the whole line) of the reply that means yes; every other line means no."""
 
     send: str

@@ -6,17 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Option
+from pydantic import model_validator
 
-from mbcacq.devices import parse_options
-
-
-class FolderModel(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from mbcacq.devices import DriverOptions, parse_options
 
 
-class TriggerOptions(FolderModel):
+class TriggerOptions(DriverOptions):
     """How the scanner's program is asked for a cloud; one of these.
 
     person: somebody takes it. command: a program and its arguments, run without a shell. tcp: HOST:PORT to send to. serial: a port,
@@ -42,7 +38,7 @@ class TriggerOptions(FolderModel):
         return self
 
 
-class FolderOptions(FolderModel):
+class FolderOptions(DriverOptions):
     """folder: where the clouds are saved, relative to where the run is started. pattern: of their names. timeout_s: how long a cloud may
     take from its trigger on. quiet_s: how long a file must not grow any more to count as written. unit, axes, range_map: how the clouds are
     written. read_cloud: set by the run; reads a file."""

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from mbcacq.devices import is_host
+from mbcacq.devices import DriverOptions, is_host
 
 
-class SnapshotOptions(BaseModel):
+class SnapshotOptions(DriverOptions):
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. allow_aligned: accept
     points that are not in the sensor's own coordinates. timeout_s: longest wait for a scan. reply_limit_s: caps the protocol's own time
     limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts after a dropped
     connection.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     sensor: ClassVar[str] = "sensor"  # in sentences
 
     address: str = ""

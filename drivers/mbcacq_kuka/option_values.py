@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import ConfigError, DriverOptions
 
 MOST_OUTPUTS = 8  # that may be switched from here: the EKI program has room for so many
 LAST_OUTPUT = 4096  # $OUT of every KSS
@@ -42,13 +42,11 @@ PositiveSix = Annotated[Six, AfterValidator(_positive)]
 OneOrSix = Annotated[PositiveSix, BeforeValidator(_six)]
 
 
-class KukaOptions(BaseModel):
+class KukaOptions(DriverOptions):
     """limits_deg: (6, 2) joint limits. connect_timeout_s: how long to wait for the controller. silence_s: without a telegram or state that
     long is a fault. follow: of the plan's robot section: a person, or another program, moves the arm. digital_outputs: numbers n of the
     outputs $OUT[n] that may be switched from here, as to trigger a scanner.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     limits_deg: Annotated[tuple[tuple[float, float], ...], AfterValidator(_rising)] = Field(
         description="the joint limits, six pairs in °", min_length=6, max_length=6

@@ -16,7 +16,7 @@ from asyncua.client.client import Client
 from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, ProtocolError
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, ProtocolError, same_model
 from mbcacq_opcua.nodes import NoSuchRobot, RobotNodes, find_robot
 from mbcacq_opcua.options import OpcUaOptions
 
@@ -154,7 +154,7 @@ class OpcUaLink:
 
     def _check(self, found: RobotNodes) -> None:
         o, model = self._options, found.about.get("Model", "")
-        if o.expect_model is not None and o.expect_model.lower() not in model.lower():
+        if o.expect_model is not None and not same_model(o.expect_model, model):
             raise IdentityError(f"{self._place} is a '{model}', not a '{o.expect_model}'; correct the address or the option expect_model")
         if "" in found.units and o.angle_unit is None:
             axis = found.names[found.units.index("")]

@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from mbcacq.devices import HOST, parse_options
+from mbcacq.devices import HOST, DriverOptions, parse_options
 
 
-class OpcUaOptions(BaseModel):
+class OpcUaOptions(DriverOptions):
     """address, port, path: of the server. user, password_env: who logs in, and the environment variable that holds the password.
     security: as asyncua writes it, such as ``Basic256Sha256,SignAndEncrypt,cert.pem,key.pem``; None: without.
 
     arm: which motion device, where the server has several. axes: browse names in the order of the robot file; None: its rotary axes in
-    the order of their names. angle_unit: where the server states none. expect_model: what its Model must contain. payload_kg: what its
+    the order of their names. angle_unit: where the server states none. expect_model: words of its Model. payload_kg: what its
     flange load must be. rate_hz: how often it is read. silence_s: without an answer for so long it counts as lost.
 
     limits_deg, speed_deg_s, follow, controller_matrix (n, n), controller_offset_deg (n,): from the plan.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
     address: str = Field(min_length=1, pattern=HOST)
     port: int = Field(default=4840, ge=1, le=65535)

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from mbcacq.devices import HOST, parse_options
+from mbcacq.devices import HOST, DriverOptions, parse_options
 
 AXES = 6
 
 
-class UrOptions(BaseModel):
+class UrOptions(DriverOptions):
     """address, port: of the controller. frequency_hz: of its packages. silence_s: without a package for so long it counts as lost.
     payload_kg: what the controller must have set; None: whatever it has. limits_deg, speed_deg_s: from the plan's robot file;
     follow: of its robot section: only listen, and send nothing that the arm could move by. digital_outputs: numbers of
     the standard digital outputs (0 to 7) that may be switched from here, as to trigger a scanner; none where others switch them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     address: str = Field(min_length=1, pattern=HOST)
     port: int = Field(default=30004, ge=1, le=65535)

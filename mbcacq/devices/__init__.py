@@ -13,7 +13,8 @@ from __future__ import annotations
 from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
-from mbcacq.devices.plan_options import parse_options
+from mbcacq.devices.model_names import same_model
+from mbcacq.devices.plan_options import DriverOptions, parse_options
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.devices.terminal_input import is_interactive, typed_line
@@ -41,6 +42,7 @@ __all__ = [
     "Device",
     "DeviceFault",
     "DeviceTimeout",
+    "DriverOptions",
     "Field",
     "IdentityError",
     "MbcacqError",
@@ -60,6 +62,7 @@ __all__ = [
     "is_interactive",
     "load_driver",
     "parse_options",
+    "same_model",
     "signals_deferred",
     "typed_line",
 ]

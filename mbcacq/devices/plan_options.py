@@ -1,4 +1,4 @@
-"""The options of a driver as a plan gives them, checked by its pydantic model: what is wrong is one sentence."""
+"""The options of a driver as a plan gives them: the base of their pydantic models, and what is wrong with them as one sentence."""
 
 from __future__ import annotations
 
@@ -6,14 +6,21 @@ from collections.abc import Mapping
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
     from pydantic.fields import FieldInfo
 
-Options = TypeVar("Options", bound="BaseModel")
+Options = TypeVar("Options", bound=BaseModel)
 ONE_SIDED = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+
+
+class DriverOptions(BaseModel):
+    """Base of every driver's options: an unknown option, NaN and infinity are refused, and nothing changes afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
 
 
 def parse_options(schema: type[Options], device: str, options: Mapping[str, Any], hidden: tuple[str, ...] = ()) -> Options:
@@ -22,8 +29,6 @@ def parse_options(schema: type[Options], device: str, options: Mapping[str, Any]
     Raises ConfigError naming the option and what is wrong with it; one that is not known before one that is missing, which is often the
     same one misspelt.
     """
-    from pydantic import ValidationError
-
     try:
         return schema.model_validate(dict(options))
     except ValidationError as error:

@@ -23,4 +23,4 @@ class CheckupLine(AsJson):
 def from_error(topic: str, error: BaseException) -> CheckupLine:
     """Our errors end with what to do about them, behind the last semicolon."""
     what, _, cure = str(error).rpartition("; ")
-    return CheckupLine("error", topic, what or str(error), cure if what else "see docs/reference/errors.md")
+    return CheckupLine("error", topic, what or str(error), cure if what else "mend what the sentence names")

@@ -8,11 +8,10 @@ from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_fakes.protocols.krc.server import FakeKrc
-from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.options import parse
 
-from mbcacq.devices import DeviceFault, IdentityError
+from mbcacq.devices import DeviceFault, IdentityError, same_model
 
 
 def test_rsi_is_started_over_eki():
@@ -63,6 +62,8 @@ def test_an_emergency_stop_is_named():
         ("KR 16-2", "#KR16_2 C2", True),
         ("KR 210 R2700-2", "#KR210R3100_2 C4 FLR", False),
         ("KR 6 R900-2", "#KR6R700_2 C5", False),
+        ("KR 10", "KR 1000 titan", False),
+        ("KR 10", "#KR10R1100_2 C5", True),
     ],
 )
 def test_model_names(wanted, reported, same):

@@ -83,7 +83,7 @@ def test_a_driver_that_is_not_installed_and_a_plan_that_is_none(tmp_path):
     [
         ("it is off; switch it on", "it is off", "switch it on"),
         ("a; b; do c", "a; b", "do c"),
-        ("it is off", "it is off", "see docs/reference/errors.md"),
+        ("it is off", "it is off", "mend what the sentence names"),
     ],
 )
 def test_a_sentence_is_split_into_what_and_what_to_do(sentence, text, cure):

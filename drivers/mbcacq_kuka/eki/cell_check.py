@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.devices import DeviceFault, IdentityError
+from mbcacq.devices import DeviceFault, IdentityError, same_model
 from mbcacq_kuka.eki.options import MODES, EkiOptions
-from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.eki.telegrams import INTERFACE, WITHOUT_OUTPUTS, Hello, State
 
 _FRAME_MM, _FRAME_DEG = 0.01, 0.01

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
-
-from mbcacq.devices import DeviceFault, IdentityError
+from mbcacq.devices import DeviceFault, IdentityError, same_model
 from mbcacq_kuka.eki.client import EkiClient
 
 _PORT = 54600
@@ -34,9 +32,3 @@ def start_by_eki(name: str, model: str, server: str, cycle_ms: int, wait_s: floa
         client.close()
         raise
     return client
-
-
-def same_model(wanted: str, reported: str) -> bool:
-    """'KR 210 R2700-2' is '#KR210R2700_2 C4 FLR': only letters and digits count, the controller's text may go on."""
-    wanted, reported = (re.sub("^kuka", "", re.sub("[^a-z0-9]", "", text.lower())) for text in (wanted, reported))
-    return reported.startswith(wanted)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from mbcacq_fakes.world.strict_options import StrictOptions
+from mbcacq.devices import DriverOptions
 
 SCANNER_WARMUP_K = 14.0  # of a housing that its electronics heat
 SCANNER_SHARE = 0.4  # of the arm's time constant
 
 
-class Environment(StrictOptions):
+class Environment(DriverOptions):
     """Air drifts slowly; the arm warms up towards ``warmup_K`` above the air with ``time_constant_s`` from switch-on.
 
     time_scale: seconds of the cell's day per second of robot time, so that a short run can see slow things happen.

@@ -8,15 +8,15 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mbcacq.devices import DriverOptions
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.world.environment import Environment
-from mbcacq_fakes.world.strict_options import StrictOptions
 
 Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float, float]
 
 
-class Frame(StrictOptions):
+class Frame(DriverOptions):
     rotation: tuple[Vector, Vector, Vector]
     translation_mm: Vector
 
@@ -27,7 +27,7 @@ class Frame(StrictOptions):
         return out
 
 
-class Spread(StrictOptions):
+class Spread(DriverOptions):
     """Standard deviations of a draw, per axis."""
 
     mm: float = Field(ge=0)
@@ -44,7 +44,7 @@ class InjectedEffectOptions(BaseModel):
     seed: int | None = None
 
 
-class Mishap(StrictOptions):
+class Mishap(DriverOptions):
     """Something an operator did. from_arrival: only once the arm has come to rest that often."""
 
     kind: Literal["wrong_artefact", "hidden_ball", "bumped_tripod", "empty_scene"]
@@ -56,7 +56,7 @@ class Mishap(StrictOptions):
     from_arrival: int = 0
 
 
-class FakeOptions(StrictOptions):
+class FakeOptions(DriverOptions):
     errors: Literal["paper", "none", "random"] | tuple[Row, ...] = "paper"
     error_scale: float = 1.0
     repeatability_urad: float = Field(default=5.0, ge=0)
