@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
 from mbcacq.errors import ConfigError
+from mbcacq.model import yaml12
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import RobotSpec
 
@@ -47,7 +46,7 @@ def robot_file(name: str) -> Path:
 
 def robot(name: str) -> RobotModel:
     """The arm of that name as it is shipped. Raises ConfigError naming the choices."""
-    content = yaml.safe_load(robot_file(name).read_text(encoding="utf-8"))
+    content = yaml12.load(robot_file(name).read_text(encoding="utf-8"))
     return RobotSpec.model_validate(content).model()
 
 

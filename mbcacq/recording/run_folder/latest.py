@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import inside_folder
 from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, kind_of, newest
 
 RUNS, LATEST = "runs", "latest"
@@ -25,7 +26,7 @@ def mark_latest(folder: Path, kind: RunKind = RunKind.RUN) -> None:
         try:
             made.symlink_to(folder.name, target_is_directory=True)
         except (OSError, NotImplementedError):  # Windows without the right to make links, a network drive
-            made.write_text(f"{folder.name}\n", encoding="utf-8")
+            inside_folder(made).write_text(f"{folder.name}\n", encoding="utf-8")
         made.replace(mark)
 
 
