@@ -75,7 +75,9 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("where all poses were measured, judge them", command_line("check", result, plan, "--from", folder)),
+        began=lambda folder: on_failure(
+            "where all poses were measured, judge them", command_line("check", result, plan, "--from", folder), folder / "run.rrd"
+        ),
     )
     loaded = mbcacq.load_plan(plan)
     days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)

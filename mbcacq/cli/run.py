@@ -77,7 +77,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder)),
+        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder), folder / "run.rrd"),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
     )
     with steps:
