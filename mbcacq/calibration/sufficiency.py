@@ -78,7 +78,7 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
             f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g}°, and all poses of a station have the same orientation (within "
             f"{np.degrees(turn):.1f}°): they look like radians; give joint angles in degrees"
         )
-    if turn < LEAST_ROTATION and options.refuse and not {"hand_eye.x", "hand_eye.y", "hand_eye.z"} <= set(options.hold):
+    if turn < LEAST_ROTATION:
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f}°), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20° and more"

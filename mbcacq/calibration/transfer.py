@@ -44,7 +44,7 @@ class TransferFigures:
     Attributes
     ----------
     rms_mm : float
-        3D rms over the centres.
+        3D rms over the centres that are no outliers.
     median_mm : float
         Median of the 3D distances.
     chi2_dof : float
@@ -114,11 +114,6 @@ class Transfer(AsJson):
         Misfit of left-out parts; None with known places, and where the recording learnt from left nothing open.
     warnings : tuple[str, ...]
         Sentences.
-    robust : TransferFigures or None
-        ``with_effects`` without the centres that the fit of base, tool and stations rejects; None where it rejects none. All other figures
-        are of every centre: what is tested does not choose by what.
-    rejected : int
-        The number of these centres.
     """
 
     place: str
@@ -132,22 +127,15 @@ class Transfer(AsJson):
     warnings: tuple[str, ...] = ()
     recording: str = ""
     parts_left_out: PartsLeftOut | None = None
-    robust: TransferFigures | None = None
-    rejected: int = 0
 
     @property
     def text(self) -> str:
         """The figures in plain sentences."""
         how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, all {self.centres} centres, {how}): "
-            f"{self._compared('rms_mm', micrometres)}.",
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
-        if self.robust:
-            out.append(
-                f"  robust, without the {self.rejected} of {self.centres} centres that this fit rejects: {micrometres(self.robust.rms_mm)}"
-            )
         if left := self.parts_left_out:
             out.append(
                 f"  on parts left out of the fit: {micrometres(left.as_learnt.rms_mm)} with base, tool and stations of the other parts; "
@@ -193,32 +181,30 @@ def check_transfer(
         model = EffectModel(observations.cell.robot)
     tried = _Trial(observations, cell, place)
     best = tried.fit(cell.state.chain, model)
-    used, every = best.fit.used, np.ones(len(best.fit.used), bool)
-    whole = tried.figures(best, every)
-    plain = tried.figures(tried.fit(alone or cell.state.chain, None), every) if model else whole
+    used = best.fit.used
+    whole = tried.figures(best, used)
+    plain = tried.figures(tried.fit(alone or cell.state.chain, None), used) if model else whole
     gains = []
     grouped: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for t in model.terms:
         grouped.setdefault((t.name, ("all",)) if t.name == "unknown" else (t.name, t.where), []).append(t.key)
     for (name, where), keys in grouped.items() if len(grouped) > 1 else ():
         rest = model.select(lambda t, keys=keys: t.key not in keys)
-        without = tried.figures(tried.fit(cell.state.chain, rest), every).rms_mm
+        without = tried.figures(tried.fit(cell.state.chain, rest), used).rms_mm
         gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
     departures = model.departures(observations)
     return Transfer(
         place=place,
         poses=observations.n_poses,
-        centres=len(every),
+        centres=int(used.sum()),
         geometry_alone=plain,
         with_effects=whole,
-        own_geometry=tried.own_geometry(every),
+        own_geometry=tried.own_geometry(used),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
         warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
         parts_left_out=tried.parts_left_out(best, model, used),
-        robust=None if used.all() else tried.figures(best, used),
-        rejected=int(np.sum(~used)),
     )
 
 

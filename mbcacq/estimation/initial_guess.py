@@ -60,10 +60,9 @@ def hand_eye_candidates(obs: Observations, T_base_flange: np.ndarray) -> Iterato
     them."""
     yield obs.cell.T_flange_scanner, None
     if obs.cell.measurement == TARGET_IN_BASE:
-        for by_orientation in (False, True) if obs.rotation is not None else (False,):
-            found = target_and_stations(obs, T_base_flange, by_orientation)
-            if found is not None:
-                yield found
+        found = target_and_stations(obs, T_base_flange)
+        if found is not None:
+            yield found
     else:
         X = hand_eye_from_fixed_points(obs, T_base_flange, obs.cell.T_flange_scanner)
         if X is not None:
@@ -96,13 +95,9 @@ def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, gue
     return None if translation is None else se3.transform(rotation, translation)
 
 
-def target_and_stations(obs: Observations, T_base_flange: np.ndarray, by_orientation: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
+def target_and_stations(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Target on the flange (4, 4), and instrument in the base (S, 4, 4), one station after another; None where the poses do not determine
-    them.
-
-    by_orientation: whether the rotation of the instrument comes from the measured orientations: where the flange hardly turns, places tell
-    little of it, and a small error of it is kilometres of lever.
-    """
+    them."""
     stations = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     targets = []
     for s in np.unique(obs.station):
@@ -117,8 +112,6 @@ def target_and_stations(obs: Observations, T_base_flange: np.ndarray, by_orienta
         if solution is None:
             return None
         R_bs = se3.nearest_rotation(solution[:9].reshape(3, 3))
-        if by_orientation and obs.rotation is not None:
-            R_bs = station_rotation(T[:, :3, :3], obs.rotation[rows])
         places = se3.least_distances(lever, T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int))
         if places is None:
             return None
@@ -132,18 +125,6 @@ def target_and_stations(obs: Observations, T_base_flange: np.ndarray, by_orienta
             R_target = se3.fit_rigid_transforms(centres, places, np.zeros(len(balls), int), 1)[0, :3, :3]
         targets.append(se3.transform(R_target, (places - centres @ R_target.T).mean(axis=0)))
     return targets[0], stations
-
-
-def station_rotation(flange: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """R_base_station (3, 3) from orientations of the flange in the base and of the target in the station, (P, 3, 3) each.
-
-    flange_i X = R_base_station target_i is linear in both unknowns, which are the singular vectors of the sum of Kronecker products (Shah,
-    Solving the robot-world/hand-eye calibration problem using the Kronecker product, 2013).
-    """
-    # Row-major: vec(R_base_station) = (flange_i kron target_i) vec(X).
-    total = np.einsum("pij,pkl->ikjl", flange, target).reshape(9, 9)
-    first = np.linalg.svd(total)[0][:, 0].reshape(3, 3)
-    return se3.nearest_rotation(first * np.sign(np.linalg.det(first)))
 
 
 def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, T_base_station: np.ndarray | None = None) -> Placement:

@@ -66,7 +66,7 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = OPEN
-    elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
+    elif d.verdict == "explained" and d.effects and not findings_and_trends(d.effects)[0]:
         sentence = TREND_ALONE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 

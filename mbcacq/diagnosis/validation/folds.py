@@ -11,7 +11,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
-from mbcacq.diagnosis.search.effect_set import EffectSet, Member
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.validation.shared_products import SharedProducts
 from mbcacq.diagnosis.workers import WorkerPool
@@ -87,7 +87,7 @@ def evaluated_fold(
     whole = held.score(groups=()) if everywhere else after
     without = {}
     for key in keys:
-        effects, groups = all_but(model, () if everywhere else random, key, keys)
+        effects, groups = all_but(model, () if everywhere else random, key)
         same = len(effects) == len(model.members) and (everywhere or len(groups) == len(random))
         without[key] = whole if same else held.score(effects, groups)
     return FoldResult(held.score((), ()), after, without, whole)
@@ -116,16 +116,8 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str, keys: Sequence[str] = ()) -> tuple[list[int], list[int]]:
-    """Numbers of the effects and groups of a fold's model without one effect.
-
-    keys: of all that is reported. Without something unmodelled at a location, what a fold has found there under a name that is not
-    reported is left out as well: it is the same error.
-    """
+def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str) -> tuple[list[int], list[int]]:
+    """Numbers of the effects and groups of a fold's model without one effect."""
     location = key.removeprefix("unknown:") if key.startswith("unknown:") else None
-
-    def stands_for_it(m: Member) -> bool:
-        return key in (m.candidate.name, m.label) or (location in m.candidate.where and not {m.candidate.name, m.label} & set(keys))
-
-    effects = [j for j, m in enumerate(model.members) if not stands_for_it(m)]
+    effects = [j for j, m in enumerate(model.members) if key not in (m.candidate.name, m.label)]
     return effects, [g for g, group in enumerate(random) if group.location != location]
