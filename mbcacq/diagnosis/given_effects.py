@@ -14,9 +14,8 @@ import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
-from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized, widened

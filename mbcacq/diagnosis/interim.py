@@ -18,9 +18,8 @@ from mbcacq.diagnosis.findings import EvidenceSummary
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere, errors_elsewhere
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare
 from mbcacq.diagnosis.verdict import verdict_of

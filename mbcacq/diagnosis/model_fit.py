@@ -8,15 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence, kept_centres, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
-from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, RandomEffectsModel, noise_with
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import model_of

@@ -13,8 +13,7 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
-from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect, RandomEffectsModel, conditioned_on_effects
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts

@@ -9,11 +9,10 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.validation.shared_products import SharedProducts
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
 
