@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
+from mbcacq.diagnosis.executor import TimeBudget, WorkerPool, freed_memory_kept
 from mbcacq.diagnosis.formulas.propose import propose
-from mbcacq.diagnosis.memory import freed_memory_kept
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search_in_part
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
@@ -19,11 +19,9 @@ from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.time_budget import TimeBudget
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.verdict import conclude, judge
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.functions import DescribedPart
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError

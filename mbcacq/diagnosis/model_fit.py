@@ -12,11 +12,10 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_ev
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
+from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit, model_of
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, RandomEffectsModel, noise_with
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
-from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem

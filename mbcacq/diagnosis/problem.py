@@ -9,11 +9,11 @@ import numpy as np
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.several import shares
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from mbcacq.diagnosis.diagnose import Refitting
-from mbcacq.diagnosis.workers import WorkerPool
+from mbcacq.diagnosis.executor import WorkerPool
 
 
 def model(*keys: str) -> SimpleNamespace:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.findings import OUT_OF_TIME
 from mbcacq.diagnosis.motion.assemble import assemble, checked_channels, cut_short
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
@@ -21,7 +22,6 @@ from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionCheck, MotionDiagnosis
 from mbcacq.diagnosis.motion.signals import prepare, with_torque
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
 
 Model = tuple[EffectSet, tuple[RandomEffect, ...]]
