@@ -1,7 +1,8 @@
 """What a diagnosis is computed by: processes, the memory that they keep, and the time that they may take.
 
-The pool has workers, of which this process is one and the others are processes of their own (loky), for calls of the same kind. They are started anew, not forked, so that threads do no harm and every system has them. Inside a process that may have no children
-(a worker of a dask cluster), and with one worker, all calls are made here, one after the other: the answers are the same.
+The pool has workers, of which this process is one and the others are processes of their own (loky), for calls of the same kind. They are
+started anew, not forked, so that threads do no harm and every system has them. Inside a process that may have no children (a worker of a
+dask cluster), and with one worker, all calls are made here, one after the other: the answers are the same.
 """
 
 from __future__ import annotations
