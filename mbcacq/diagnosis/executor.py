@@ -23,7 +23,13 @@ from typing import Any
 
 import cloudpickle
 
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.functions import DescribedPart
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.one_thread import one_thread
+
+Refit = Callable[[EffectModel], tuple[EffectModel | None, tuple[str, ...]]]
 
 # Numbers of mallopt of the GNU C library, and their values beforehand (malloc.h).
 TRIM_THRESHOLD, MMAP_MAX = -1, -4
@@ -196,3 +202,46 @@ class TimeBudget:
 
 
 UNLIMITED = TimeBudget()
+
+
+@dataclass(frozen=True)
+class Executor:
+    """What computes one diagnosis: its processes, and the time that it may take."""
+
+    pool: WorkerPool
+    budget: TimeBudget
+
+
+@contextmanager
+def executor(workers: int, minutes: float | None) -> Iterator[Executor]:
+    """An executor of so many processes, no more than there are parts of a validation, each with one thread. minutes: None for no end."""
+    with one_thread(), freed_memory_kept(), WorkerPool(min(workers, OPTIONS.folds)) as pool:
+        yield Executor(pool, TimeBudget.of_minutes(minutes))
+
+
+class Refitting:
+    """The refit of the effects that are kept, which takes seconds. Validation and conclusion do not depend on it: another process makes it
+    meanwhile.
+    """
+
+    def __init__(self, refit: Refit | None, pool: WorkerPool):
+        self._refit, self._pool = refit, pool
+        self._of: list[tuple[str, tuple[DescribedPart, ...]]] = []
+        self._answer: Callable[[], tuple[EffectModel | None, tuple[str, ...]]] | None = None
+
+    def begin(self, model: EffectModel) -> None:
+        """Begin with a model; with another one than before it is begun anew."""
+        of = [(t.key, t.parts) for t in model.terms]
+        if self._refit is None or of == self._of:
+            return
+        self._of = of
+        self._answer = self._pool.beside(self._refit, model) if of else None
+
+    @property
+    def begun(self) -> bool:
+        return self._answer is not None
+
+    def answer(self) -> tuple[EffectModel | None, tuple[str, ...]]:
+        """The model as it was fitted, and what is to be noted of it."""
+        assert self._answer is not None, "asked of a refit that was begun"
+        return self._answer()

@@ -78,6 +78,19 @@ class DiagnosisProblem:
     budget: TimeBudget = UNLIMITED
     given: tuple[GivenEffect, ...] = ()
 
+    @property
+    def in_part(self) -> bool:
+        """Whether it has so many poses that effects are searched in a part of them, and what is unmodelled stands at all locations."""
+        return self.linear.obs.n_poses > unmodelled.OPTIONS.many_poses
+
+    def searched(self, keep: np.ndarray) -> DiagnosisProblem:
+        """The poses of the centres keep (M,) bool in which effects are searched: all of them, or as many as are searched of a long
+        recording, evenly at random.
+        """
+        if self.in_part:
+            return thinned(self, keep, OPTIONS.searched_poses)
+        return self.with_linearization(self.linear.restricted(keep))
+
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
         options = replace(options, refuse=False)
@@ -154,11 +167,6 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
 
 def _first(value: float | tuple[float, ...]) -> float:
     return float(np.atleast_1d(value)[0])
-
-
-def is_long(obs: Observations) -> bool:
-    """Whether a recording has so many poses that it is searched in part, and what is unmodelled stands at all locations."""
-    return obs.n_poses > unmodelled.OPTIONS.many_poses
 
 
 def not_grossly_off(residual: np.ndarray) -> np.ndarray:
