@@ -80,6 +80,10 @@ class Journal:
         )
 
     @_write.register
+    def _(self, event: events.FactChanged) -> None:
+        self._write_journal(event.time_s, event="fact", role=event.role, name=event.name, before=event.before, now=event.now)
+
+    @_write.register
     def _(self, event: events.Gap) -> None:
         self._write_journal(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
 
