@@ -51,7 +51,7 @@ def search(problem: DiagnosisProblem) -> Searched:
 
 
 def fit_everywhere(problem: DiagnosisProblem, searched: Searched) -> ModelFit:
-    """The model of all poses by the effects that were found. Of a long recording they are fitted to all of it, and what is left are random
+    """The model of all poses by the effects that were found. A long recording has them fitted to all of it, and what is left are random
     effects at every location.
     """
     found = reported_hypothesis(searched.fit)
