@@ -27,7 +27,9 @@ def test_it_moves_and_arrives_when_the_arm_stands_there(eki_cell, system):
     there = (np.abs(columns["q"] - target).max(axis=1) < 2e-4) & ~columns["moving"]
     first = columns["time_s"][there.argmax()]
     assert columns["time_s"][-1] - first >= 0.2  # stood there for the settling time, on the robot's clock
-    assert set(np.round(np.diff(columns["time_s"]), 3)) <= {0.024, 0.036}
+    cycles = np.diff(columns["time_s"]) / 0.012  # a busy computer reads the link less often, never between two cycles
+    np.testing.assert_allclose(cycles, np.round(cycles), atol=1e-6)
+    assert cycles.min() > 1.5
     assert robot.describe().serial.startswith("#KR10R1100_2")
 
 

@@ -194,7 +194,7 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "a robot file for a plan": (lambda path: refused(load, Folder(path).path / "robot.yaml"), "this is no plan", "give a plan, or add that line"),
     "a URDF for a robot file": (new_plan("arm.urdf", "mbc-8"), "not such a description", "make one: mbcacq robot import"),
     "a certificate for an artefact file": (new_plan("panda", "balls.csv"), "not a certificate", "make one: mbcacq export"),
-    "a robot's name misspelt": (new_plan("kr6-r900", "mbc-8"), "among the tool's robots none of that name", "correct it"),
+    "a robot's name misspelt": (new_plan("kr6-r900", "mbc-8"), "among the tool's robots none of that name", "did you mean kr6_r900"),
     "a key forgotten": (plan(("  driver: kuka_rsi\n", "")), "robot lacks 'driver'", "add it"),
     "a word for a number": (plan(("tilt_deg: 20", "tilt_deg: steep")), "should be a valid number, not 'steep'", "correct it"),
     "a number in quotes": (plan(("tilt_deg: 20", "tilt_deg: '20'")), "should be a valid number, not '20'", "correct it"),

@@ -90,13 +90,13 @@ def test_a_run_is_steered_checked_recorded_and_its_report_says_what_it_changed(l
 def test_a_run_that_goes_on_keeps_the_targets_it_began_with(learnt, quick, tmp_path):
     loaded, poses = quick
     targets = corrected_targets(loaded, poses, learnt, dry_run=True)
-    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", loaded.path, fields_as_json(targets)))
+    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", path=loaded.path, corrected=fields_as_json(targets)))
     again = to_go_on_with(tmp_path, None)
     assert np.array_equal(again.corrected, targets.corrected)  # to the last bit
     assert np.array_equal(to_go_on_with(tmp_path, targets).nominal, targets.nominal)
     with pytest.raises(ConfigError, match="steered by another result"):
         to_go_on_with(tmp_path, CorrectedTargets("other", *(getattr(targets, n) for n in ("nominal", "corrected", "moved_mm", "noise_mm"))))
-    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", loaded.path))
+    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", path=loaded.path))
     with pytest.raises(ConfigError, match="the plan's own targets"):
         to_go_on_with(tmp_path, targets)
 
