@@ -112,12 +112,11 @@ class PoseBlock:
 
     @property
     def whitened_basis(self) -> np.ndarray:
-        """(P, B R, u): W with W'W = G' inv(S) G, weights of the poses included."""
+        """(P, B R + n, u): W with W'W = G' inv(S) G, weights of the poses included: sums of squares, positive whatever the rounding."""
         G = self.weighted.G
         P, R, B, u = G.shape
         rows = (G * np.sqrt(self.precision)[:, None, None]).reshape(P, R * B, u)
-        inverse = np.eye(R * B) - rows @ self.N @ np.swapaxes(rows, 1, 2)
-        return np.swapaxes(np.linalg.cholesky(inverse), 1, 2) @ rows * np.sqrt(self.share)[:, None, None]
+        return np.concatenate([rows @ self.F, self.JG], axis=1) * np.sqrt(self.share)[:, None, None]
 
     def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products of the columns, summed over the poses, and over those of each station at which the block is: H (g, g), Hss (S', 6, 6),
