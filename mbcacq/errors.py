@@ -6,12 +6,22 @@ An error message is one sentence: what happened, where, and what to do about it.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable
+from difflib import get_close_matches
 from enum import IntEnum
 
 
 def command_line(*words: object) -> str:
     """A command of ours that can be pasted: words with spaces in them are quoted, empty ones left out."""
     return shlex.join(["mbcacq", *(str(word) for word in words if str(word))])
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """What a name may have been meant to be, as the end of a sentence: '; did you mean a or b?', or '' where none is near."""
+    known = list(known)
+    begun = [one for one in known if name and one.startswith(name)]
+    near = list(dict.fromkeys([*begun, *get_close_matches(name, known, 2, 0.6)]))[:2]
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 class ExitCode(IntEnum):

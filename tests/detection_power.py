@@ -23,9 +23,9 @@ from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
-from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.json_text import plain

@@ -10,9 +10,9 @@ from scipy.stats import chi2, ncx2
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
 SHIFTS_UM = (3, 4, 5, 6, 8, 10)

@@ -16,11 +16,11 @@ from mbcacq.design.simulated_observations import planned_noise, planned_state
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.exclusion_limits import BandLimit, limits_of_bands, parameters_of, with_confounders
-from mbcacq.diagnosis.output.limit_bands import ORDERS, LimitBand, bands
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
+from mbcacq.diagnosis.output.upper_limit import ORDERS, LimitBand, bands
+from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate

@@ -19,6 +19,7 @@ from mbcacq.devices import (
     ContextDevice,
     Cycles,
     Description,
+    Fact,
     Field,
     MbcacqError,
     MotionLimits,
@@ -27,6 +28,7 @@ from mbcacq.devices import (
     SafetyStop,
 )
 from mbcacq_opcua.link import OpcUaLink
+from mbcacq_opcua.nodes import text_of
 from mbcacq_opcua.options import OpcUaOptions, parse
 
 MOVING_RAD_S = 1e-3  # slower is standing, for ``state().moving`` alone: whether the arm stands at a target the run judges by itself
@@ -77,6 +79,13 @@ class OpcUaRobot(ContextDevice):
             firmware=about.get("Software", ""),
             settings=settings,
         )
+
+    def facts(self) -> tuple[Fact, ...]:
+        """The last reading gives them."""
+        found = {} if self._link is None else dict(self._link.facts)
+        mass = found.pop("payload", None)
+        load = () if not isinstance(mass, int | float) else (Fact("payload", float(mass), "kg", self._options.payload_tolerance_kg),)
+        return (*load, *(Fact(name, text_of(value)) for name, value in found.items()))
 
     def connect(self) -> None:
         """Connect, find the robot's nodes, read them once. Raises ConnectError, IdentityError, ConfigError, ProtocolError, DeviceFault."""

@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from datetime import datetime
+from typing import Any
 
 from asyncua import ua
 from asyncua.client.client import Client
@@ -59,6 +60,7 @@ class OpcUaLink:
         self._heard = 0.0  # when the last reading came, time.monotonic
         self.robot: RobotNodes | None = None
         self.states: dict[str, str] = {}
+        self.facts: dict[str, Any] = {}  # the last good value of what is watched
 
     def connect(self) -> None:
         """Returns once the robot was found, or ``on_error`` was called. Raises ConfigError where the password is missing."""
@@ -168,10 +170,12 @@ class OpcUaLink:
             raise ConfigError(f"{self._place} has a flange load of {has}, the plan says {o.payload_kg:.2f} kg; set it on the controller")
 
     async def _read(self, client: Client) -> None:
-        """One request for all axes and the clock. Raises DeviceFault for an angle that the server marks as bad."""
+        """One request for all axes, the clock and what is watched. Raises DeviceFault for an angle that the server marks as bad."""
         robot = self.robot
         assert robot is not None, "it was found before it is read"
-        values = await client.uaclient.read_attributes([*(p.nodeid for p in robot.positions), CLOCK], AttributeIds.Value)
+        nodes = [*(p.nodeid for p in robot.positions), CLOCK, *(node.nodeid for node in robot.watched.values())]
+        values = await client.uaclient.read_attributes(nodes, AttributeIds.Value)
+        values, watched = values[: len(robot.positions) + 1], values[len(robot.positions) + 1 :]
         for axis, value in zip(robot.names, values, strict=False):
             if value.StatusCode is not None and not value.StatusCode.is_good():
                 raise DeviceFault(
@@ -183,6 +187,9 @@ class OpcUaLink:
             raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")
         assert self._started is not None, "it was found before it is read"
         self._heard = time.monotonic()
+        for name, found in zip(robot.watched, watched, strict=False):
+            if found.Value is not None and found.Value.Value is not None and (found.StatusCode is None or found.StatusCode.is_good()):
+                self.facts[name] = found.Value.Value
         self._on_reading((clock - self._started).total_seconds(), numbers)
 
     @property

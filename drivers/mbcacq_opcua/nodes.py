@@ -28,7 +28,7 @@ class NoSuchRobot(Exception):
 @dataclass
 class RobotNodes:
     """names: browse names of the axes; units: of each, 'deg', 'rad' or '' where the server states none; about: what it says of itself;
-    safety: nodes of emergency and protective stop, by name."""
+    safety: nodes of emergency and protective stop, by name; watched: those of model, serial number and payload, as far as it has them."""
 
     names: tuple[str, ...]
     positions: list[Node]
@@ -36,6 +36,7 @@ class RobotNodes:
     about: dict[str, str] = field(default_factory=dict)
     payload_kg: float | None = None
     safety: Mapping[str, Node] = field(default_factory=dict)
+    watched: dict[str, Node] = field(default_factory=dict)
 
 
 async def find_robot(client: Client, axes: int, device: str | None, wanted: tuple[str, ...] | None) -> RobotNodes:
@@ -107,9 +108,14 @@ async def _robot(device: Node, system: Node, axes: Mapping[str, Node], robotics:
         positions.append(node)
         unit = await _value(node, "0:EngineeringUnits")
         units.append(UNITS.get(getattr(unit, "UnitId", -1), ""))
-    about = {what: text for what in ("Manufacturer", "Model", "SerialNumber") if (text := _text(await _value(device, f"{di}:{what}")))}
+    about = {what: text for what in ("Manufacturer", "Model", "SerialNumber") if (text := text_of(await _value(device, f"{di}:{what}")))}
     mass = await _value(device, f"{robotics}:FlangeLoad", f"{robotics}:Mass")
     found = RobotNodes(tuple(axes), positions, tuple(units), about, None if mass is None else float(mass))
+    for what in ("Model", "SerialNumber"):
+        if (node := await _child(device, f"{di}:{what}")) is not None:
+            found.watched[what] = node
+    if (node := await _child(device, f"{robotics}:FlangeLoad", f"{robotics}:Mass")) is not None:
+        found.watched["payload"] = node
     await _read_controller(found, system, robotics, di)
     return found
 
@@ -120,7 +126,7 @@ async def _read_controller(found: RobotNodes, system: Node, robotics: int, di: i
     for controller in [] if controllers is None else (await _children(controllers)).values():
         software = await _child(controller, f"{robotics}:Software")
         for part in [] if software is None else (await _children(software)).values():
-            if revision := _text(await _value(part, f"{di}:SoftwareRevision")):
+            if revision := text_of(await _value(part, f"{di}:SoftwareRevision")):
                 found.about.setdefault("Software", revision)
     states = await _child(system, f"{robotics}:SafetyStates")
     safety = {}
@@ -153,7 +159,7 @@ async def _value(node: Node, *path: str) -> Any:
         return None
 
 
-def _text(value: Any) -> str:
+def text_of(value: Any) -> str:
     """A string or a localised text."""
     return str(getattr(value, "Text", value) or "").strip()
 

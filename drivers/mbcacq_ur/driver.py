@@ -18,6 +18,7 @@ from mbcacq.devices import (
     Description,
     DeviceFault,
     DeviceTimeout,
+    Fact,
     Field,
     MbcacqError,
     MotionLimits,
@@ -81,10 +82,6 @@ class UrRtdeRobot(ContextDevice):
 
     def describe(self) -> Description:
         rate, axes = self._options.frequency_hz, (AXES,)
-        latest, settings = self._latest, {}
-        if latest is not None:
-            settings = {"speed slider": f"{100 * latest['target_speed_fraction']:.0f} %", "payload": f"{latest['payload']:.3g} kg"}
-            settings["safety"] = "reduced" if latest["safety_status_bits"] >> 1 & 1 else "normal"
         return Description(
             "robot",
             self._model,
@@ -98,7 +95,17 @@ class UrRtdeRobot(ContextDevice):
                 Field("joint_temperature_C", "deg C", axes, rate, "of the joints (joint_temperatures)"),
             ),
             firmware=self._link.version if self._link is not None else "",
-            settings=settings,
+            settings={fact.name: fact.text for fact in self.facts()},
+        )
+
+    def facts(self) -> tuple[Fact, ...]:
+        """The last package gives them."""
+        if (latest := self._latest) is None:
+            return ()
+        return (
+            Fact("speed slider", 100.0 * latest["target_speed_fraction"], "%", 0.5, critical=False),
+            Fact("payload", latest["payload"], "kg", self._options.payload_tolerance_kg),
+            Fact("safety", "reduced" if latest["safety_status_bits"] >> 1 & 1 else "normal", critical=False),
         )
 
     def connect(self) -> None:

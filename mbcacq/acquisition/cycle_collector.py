@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,7 +18,9 @@ PERIOD_S = 0.04  # keeps the loss at a power cut well below 0.1 s
 class CycleCollector:
     """A thread that turns ``robot.cycles()`` into events. ``mark`` and ``since_mark`` give the cycles of a time span."""
 
-    def __init__(self, robot: Robot, bus: EventBus) -> None:
+    def __init__(self, robot: Robot, bus: EventBus, look: Callable[[], None] = lambda: None) -> None:
+        """look: called as often as cycles are collected."""
+        self._look = look
         self._robot, self._bus = robot, bus
         self._span: list[Cycles] = []
         self._lock = threading.Lock()
@@ -91,5 +94,6 @@ class CycleCollector:
         try:
             while not self._quit.wait(PERIOD_S):
                 self.drain()
+                self._look()
         except BaseException as error:
             self._error = error

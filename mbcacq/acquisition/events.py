@@ -124,7 +124,8 @@ class CentresFound(Event):
 class PoseDone(Event):
     """The pose's observation: mean over its exposures. scatter_mm: (k, 3) standard deviation between exposures.
 
-    A pose is observed only once this event is out; q is the mean of the joint angles reported during the exposures.
+    A pose is observed only once this event is out; q is the mean of the joint angles reported during the exposures. facts: what the
+    devices reported of themselves meanwhile, e.g. ``{"robot load": "2.3 kg"}``.
     """
 
     pose: int
@@ -142,12 +143,23 @@ class PoseDone(Event):
     n_exposures: int
     current: np.ndarray | None = None
     sensors: Mapping[str, float] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class HealthReceived(Event):
     device: str
     values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class FactChanged(Event):
+    """A device reports another value of what results depend on. role: of the device; before, now: with their unit."""
+
+    role: str
+    name: str
+    before: str
+    now: str
 
 
 @dataclass(frozen=True)

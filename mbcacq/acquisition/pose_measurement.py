@@ -11,6 +11,7 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.fact_watch import FactWatch
 from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import GatedExposures
@@ -19,6 +20,8 @@ from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
+
+BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
 
 
 @dataclass
@@ -31,8 +34,10 @@ class PoseMeasurement:
     exposures: GatedExposures
     mover: Mover | Follower
     collector: CycleCollector
+    facts: FactWatch
     options: GateOptions = GateOptions()
     left_out: list[int] = field(default_factory=list)  # numbers of the poses whose exposures failed the checks
+    last_reason: str = ""  # why the last of them was, as a clause
     _in_a_row: int = 0
 
     @property
@@ -56,6 +61,7 @@ class PoseMeasurement:
             self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
             self.bus.state("scanning")
             self.collector.mark()
+            self.facts.mark()
             found, contradiction = self.exposures.take(pose, reached.q, first)
             now = self.devices.robot.state()  # raises what stopped the arm meanwhile
             cycles = self.collector.since_mark()
@@ -64,8 +70,12 @@ class PoseMeasurement:
                 break
         current = cycles["current_percent"].mean(axis=0) if "current_percent" in cycles else None
         sensors = self._read_sensors(pose)
+        facts = self.facts.values
+        if changed := self.facts.since_mark():
+            self._leave_out(pose, changed, "set it back as it was, and resume the run")
+            return False
         if contradiction:
-            self._leave_out(pose, contradiction)
+            self._leave_out(pose, contradiction, BUMPED)
             return False
         arm: ArmAtPose = {
             "q": q,
@@ -73,22 +83,24 @@ class PoseMeasurement:
             "robot_time_s": reached.time_s,
             "current": current,
             "sensors": sensors,
+            "facts": facts,
         }
         if not emit_observation(self.bus, pose, found, self.loaded.plan.accept.min_balls, pose.step_name, arm):
             return False
         self._in_a_row = 0
         return True
 
-    def _leave_out(self, pose: PlannedPose, contradiction: str) -> None:
-        """Name a pose whose exposures failed the checks. Raises DeviceFault after several such poses in a row."""
+    def _leave_out(self, pose: PlannedPose, contradiction: str, remedy: str) -> None:
+        """Name a pose whose exposures failed the checks, or whose devices were set up otherwise.
+
+        Raises DeviceFault after several such poses in a row.
+        """
         self.left_out.append(pose.number)
         self._in_a_row += 1
+        self.last_reason = f", the last one because {contradiction}"
         self.bus.gap("pose", f"pose {pose.number} ({pose.step_name}): {contradiction}, pose left out", pose.number)
         if self._in_a_row >= self.options.poses_in_a_row:
-            raise DeviceFault(
-                f"{self._in_a_row} poses in a row were left out, the last one because {contradiction}; "
-                "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
-            )
+            raise DeviceFault(f"{self._in_a_row} poses in a row were left out{self.last_reason}; {remedy}")
 
     def _stood(self, cycles: Mapping[str, np.ndarray], q: np.ndarray, pose: PlannedPose, left: int) -> bool:
         """Whether the arm stood at the pose during its exposures, q (n,) rad being the mean of what it reported.

@@ -21,6 +21,7 @@ class ArmAtPose(TypedDict, total=False):
     robot_time_s: float
     current: np.ndarray | None
     sensors: Mapping[str, float]
+    facts: Mapping[str, str]
 
 
 def emit_observation(bus: EventBus, pose: PlannedPose, found: Sequence[Centres], min_balls: int, label: str, arm: ArmAtPose) -> bool:

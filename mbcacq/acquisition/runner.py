@@ -14,6 +14,7 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.fact_watch import FactWatch
 from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import BallFinder, GatedExposures, Misplaced
@@ -120,14 +121,16 @@ class Runner:
         robot, plan = self.devices.robot, self.loaded.plan
         scanner = ReconnectingScanner(self.devices.scanner, robot, plan.scanner.reconnect_s, lambda text: self.bus.message("warning", text))
         placement = PlacementCheck(self.loaded.cell, plan.station_tolerance_mm, self.known)
-        with CycleCollector(robot, self.bus) as collector, ExitStack() as stack:
+        facts = FactWatch(self.devices.all, self.bus)
+        facts.look()
+        with CycleCollector(robot, self.bus, facts.look) as collector, ExitStack() as stack:
             stack.callback(robot.stop)  # before the collector is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
             mover = self._mover(collector)
             exposures = GatedExposures(
                 self.loaded, self.bus, scanner, self.find_balls, placement, self.gates, asks_a_person=self.devices.asks_a_person
             )
-            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, exposures, mover, collector, self.gates)
+            measurement = PoseMeasurement(self.loaded, self.devices, self.bus, exposures, mover, collector, facts, options=self.gates)
             self._pass([self.path_home[-1]], mover)
             missed = self._measure_poses(measurement, mover)
             self._pass(self.path_home, mover)
@@ -163,7 +166,10 @@ class Runner:
             if not measured:
                 missed += 1
                 if missed > max(1, MISSED_SHARE * len(self.poses)):
-                    raise DeviceFault(f"{missed} poses showed too few balls or failed the checks; look at the scans, exposure and artefact")
+                    raise DeviceFault(
+                        f"{missed} poses showed too few balls or failed the checks{measurement.last_reason}; look at the scans, exposure "
+                        "and artefact"
+                    )
         return missed
 
     def _measure_first(self, pose: PlannedPose, path: Transit, measurement: PoseMeasurement, mover: Mover | Follower) -> bool:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import eigenvalues, prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.projected_solve import eigenvalues, prior_weight
 from mbcacq.effects.effect import Candidate, Hyperparameter
 
 SMALLEST_EIGENVALUE = 1e-6  # of a normal matrix in units of its columns' squares; less is what geometry absorbs, up to rounding

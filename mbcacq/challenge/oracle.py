@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from mbcacq.challenge.likelihood_gain import best_hyper, gain_at
+from mbcacq.diagnosis.evidence.evidence_fit import kept_centres
 from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring

@@ -15,7 +15,7 @@ import click
 from mbcacq.cli.next_step import say_after_failure
 from mbcacq.cli.signals import ended_by_signal
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
+from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError, nearest
 from mbcacq.version import __version__
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -79,10 +79,8 @@ class LazyGroup(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """As of a group, with the commands that are called almost the same."""
-        from difflib import get_close_matches
-
-        if args and args[0] not in COMMANDS and not args[0].startswith("-") and (near := get_close_matches(args[0], COMMANDS, 2, 0.6)):
-            ctx.fail(f"there is no command '{args[0]}'; did you mean {' or '.join(near)}?")
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and (near := nearest(args[0], COMMANDS)):
+            ctx.fail(f"there is no command '{args[0]}'{near}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

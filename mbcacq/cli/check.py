@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.argument("plan", type=PlanPath())
 @click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--history", type=click.Path(path_type=Path, dir_okay=False), help="File of all checks [default: check.json beside RESULT].")
-@click.option("--from", "measured", type=RunPath(), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
+@click.option("--from", "measured", type=RunPath("check"), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
 @click.option("--poses", default=12, show_default=True, help="Number of poses, chosen at the first check.")
 @click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check, so its place is not judged.")
 @click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="Table of mbcacq fleet: how arms change from day to day.")
@@ -75,7 +75,9 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("where all poses were measured, judge them", command_line("check", result, plan, "--from", folder)),
+        began=lambda folder: on_failure(
+            "where all poses were measured, judge them", command_line("check", result, plan, "--from", folder), folder / "run.rrd"
+        ),
     )
     loaded = mbcacq.load_plan(plan)
     days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
@@ -90,11 +92,7 @@ def command(
     else:
         for line in lines_of(done):
             echo(line)
-        if not done.changed:
-            again = (option for option, given in (("--dry-run", dry_run), ("--arm", arm)) if given)
-            say_next("check again tomorrow, or after any work on the cell", command_line("check", result, plan, *again))
-        else:
-            say_next("look for the cause in the recording", command_line("diagnose", done.run))
+        say_next(*done.next_step(result, plan, dry_run))
     done.refuse_changed()
 
 
@@ -114,4 +112,5 @@ def lines_of(done: InterimCheck) -> list[str]:
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
         out += [f"  {name} ({where}): {in_degrees(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
-    return [*out, f"recording: {done.run}", f"history: {done.file}"]
+    page = [f"page: {done.run / 'report.html'}"] if done.run.is_dir() else []
+    return [*out, f"recording: {done.run}", f"history: {done.file}", *page]

@@ -16,7 +16,7 @@ MOST_NAMED = 10  # broken recordings and outliers that are printed; the page has
 
 
 @click.command("fleet")
-@click.argument("runs", nargs=-1, required=True, type=RunPath())
+@click.argument("runs", nargs=-1, required=True, type=RunPath(checks_too=True))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the results.")
 @click.option("--workers", type=click.IntRange(1), help="Processes on this computer (default: one for each processor core).")
 @click.option("--scheduler", metavar="ADDRESS", help="Use the dask cluster of this scheduler, e.g. tcp://host:8786.")

@@ -69,7 +69,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("go on where it ended", command_line("investigate", *same, "--resume", folder)),
+        began=lambda folder: on_failure("go on where it ended", command_line("investigate", *same, "--resume", folder), folder / "run.rrd"),
     )
     budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:

@@ -12,7 +12,7 @@ from mbcacq.errors import command_line
 
 __all__ = ["command_line", "forget_failure", "on_failure", "put_to_use", "say_after_failure", "say_next"]
 
-_after_failure: list[tuple[str, str]] = []
+_after_failure: list[tuple[str, str, Path | None]] = []
 
 
 def say_next(what: str, command: str) -> None:
@@ -33,9 +33,12 @@ def put_to_use(source: Path) -> tuple[str, str]:
     return "put the result to use", export_command(result, source)
 
 
-def on_failure(what: str, command: str) -> None:
-    """Keep the next step for the case that the command fails or is interrupted: it is then the last line that is printed."""
-    _after_failure[:] = [(what, command)]
+def on_failure(what: str, command: str, needs: Path | None = None) -> None:
+    """Keep the next step for the case that the command fails or is interrupted: it is then the last line that is printed.
+
+    needs: a file without which there is nothing to go on with, so that nothing is said.
+    """
+    _after_failure[:] = [(what, command, needs)]
 
 
 def forget_failure() -> None:
@@ -45,6 +48,7 @@ def forget_failure() -> None:
 
 def say_after_failure() -> None:
     """Print what ``on_failure`` kept, once."""
-    for what, command in _after_failure:
-        say_next(what, command)
+    for what, command, needs in _after_failure:
+        if needs is None or needs.exists():
+            say_next(what, command)
     _after_failure.clear()

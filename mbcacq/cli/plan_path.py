@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,13 @@ class PlanPath(click.Path):
 
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
-        found = shipped.plan_file(path)
+        is_path = str(value).startswith((f".{os.sep}", "./", ".."))  # pathlib drops the dot
+        found = path if is_path else shipped.plan_file(path)
         if found != path:
             echo(f"there is no {path} here: this is the plan that came with mbcacq; mbcacq plan copy {found.stem} puts it here", err=True)
+        if not found.exists() and is_path and path.suffix == "":
+            named = f"; the plan that came with mbcacq is {path.stem}, without './'" if path.stem in shipped.plans() else ""
+            raise ConfigError(f"there is no file {value}{named or '; give the path of a plan'}")
         if not found.exists() and (meant := _near(found)) is not None:
             raise ConfigError(f"there is no plan {path}; did you mean {meant}?")
         return found

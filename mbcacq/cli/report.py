@@ -14,7 +14,7 @@ from mbcacq.cli.terminal import echo
 
 
 @click.command("report")
-@click.argument("run", type=RunPath())
+@click.argument("run", type=RunPath(checks_too=True))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The page [default: report.html in the folder of the run].")
 @click.option("--pdf", is_flag=True, help="A PDF on A4 instead of the page [default: report.pdf in the folder of the run].")
 @click.option("--diagnose", "with_diagnosis", is_flag=True, help="Make a diagnosis first, if there is none yet.")
@@ -24,6 +24,7 @@ def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_jso
 
     RUN is a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set. A result that is there is used,
     otherwise the cell is calibrated; so is a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
+    The page of a check says what it found.
 
     \b
     Examples:
@@ -49,8 +50,14 @@ def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_jso
 
 def next_step(run: Path) -> tuple[str, str]:
     """What to do after a report, and the command for it."""
+    from mbcacq.recording.run_folder.register import RunKind, kind_of
+    from mbcacq.report.sources.check_result import read_check_result
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
+    from mbcacq.workflow.load import is_run_folder
 
+    if is_run_folder(run) and kind_of(run) is RunKind.CHECK:
+        what, command = read_check_result(run)["next"]
+        return what, command
     if not (run / "diagnosis.json").exists():
         return "ask which effects the model lacks", command_line("diagnose", run)
     if not (run / WITH_EFFECTS / "result.json").exists():

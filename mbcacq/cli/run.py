@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 @click.argument("plan", required=False, type=PlanPath())
 @click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
-@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
-@click.option(
-    "--extend", type=click.Path(path_type=Path), metavar="RUN", help="Add the poses of PLAN to this finished run, at its own stations."
-)
+@click.option("--resume", type=RunPath(), metavar="RUN", help="Go on with this run folder: poses already measured are skipped.")
+@click.option("--extend", type=RunPath(), metavar="RUN", help="Add the poses of PLAN to this finished run, at its own stations.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
 @click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
@@ -79,7 +77,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder)),
+        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder), folder / "run.rrd"),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
     )
     with steps:

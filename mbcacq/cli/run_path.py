@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from mbcacq.errors import command_line
 
+ANY: Final = ("run", "check", "extension", "investigation", "collected", "simulated")
+
 
 class RunPath(click.Path):
-    """A path; 'latest' and 'runs/latest' become the folder of the newest run."""
+    """A path; 'latest' and 'runs/latest' become the folder of the newest recording of the kinds that the command can use.
 
-    def __init__(self) -> None:
+    kinds: of ``RunKind`` by name; default all that can be calibrated by themselves. checks_too: the folder of a check is accepted where it
+    is named, though 'latest' is none.
+    """
+
+    def __init__(self, *kinds: str, checks_too: bool = False) -> None:
         super().__init__(path_type=Path)
+        self._kinds, self._checks_too = kinds, checks_too
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         from mbcacq.files.atomic_write import INCOMPLETE, finish_set
         from mbcacq.recording.run_folder.latest import named_run
+        from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, refuse_other_kind
 
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
-        run = named_run(path)
+        kinds = frozenset(map(RunKind, self._kinds)) or CALIBRATED_FROM
+        run = named_run(path, kinds)
+        refuse_other_kind(run, kinds | {RunKind.CHECK} if self._checks_too else kinds)
         folder = run if run.is_dir() else run.parent
         if (folder / INCOMPLETE).exists():
             finish_set(folder)

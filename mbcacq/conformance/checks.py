@@ -148,6 +148,29 @@ def stop_ends_what_is_under_way(bench: DriverBench, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
+def a_changed_fact_is_seen(bench: DriverBench, stand: Stand) -> None:
+    driver = stand.make()
+    facts = getattr(driver, "facts", tuple)
+    demand(facts() == (), "facts() names some before connect()")
+    if not stand.facts:
+        raise Skip("the bench changes no fact of this device")
+    bounded("connect", driver.connect, bench.limit_s)
+    first = {fact.name: fact for fact in facts()}
+    demand(first.keys() == stand.facts.keys(), f"the driver declares {sorted(first)}, the bench changes {sorted(stand.facts)}")
+    for name, change in stand.facts.items():
+        change()
+        if bench.kind == "scanner":  # it reports with each exposure
+            bounded("use", lambda: stand.use(driver), bench.limit_s)
+        now = {}
+
+        def seen(name: str = name, now: dict = now) -> bool:
+            now.update({fact.name: fact for fact in facts()})
+            return name in now and now[name].differs(first[name])
+
+        eventually(seen, bench.limit_s, f"'{name}' was changed at the device, and facts() still says {first.get(name)}")
+    bounded("close", driver.close, bench.limit_s)
+
+
 def closes_after_an_exception(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
 
@@ -201,4 +224,5 @@ CHECKS: tuple[Check, ...] = (
     stop_ends_what_is_under_way,
     closes_after_an_exception,
     an_output_that_is_on_goes_off,
+    a_changed_fact_is_seen,
 )

@@ -36,6 +36,8 @@ class Stand:
         computer fails nobody.
     output : tuple[int, Callable[[], bool]] or None
         Number of a digital output that a robot switches under the option digital_outputs, and whether the device itself says that it is on.
+    facts : Mapping[str, Callable[[], None]]
+        By the name of each fact of the driver, what changes it at the device while the driver is connected.
     """
 
     make: Callable[..., Any]
@@ -47,6 +49,7 @@ class Stand:
     short_limits: Mapping[str, Any] = field(default_factory=dict)
     ready: Callable[[], bool] = lambda: True
     output: tuple[int, Callable[[], bool]] | None = None
+    facts: Mapping[str, Callable[[], None]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

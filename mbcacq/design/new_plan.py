@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,7 +147,7 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
     for path, name in names.items():
         target = request.out.parent / name
         if not target.exists():
-            shutil.copyfile(path, target)
+            write_file(target, path.read_bytes(), folder=request.out.parent)
         elif target.read_bytes() != path.read_bytes():
             raise ConfigError(
                 f"{target} exists and differs from the tool's own {path.name}; rename it, or give it by --robot or --artefact"

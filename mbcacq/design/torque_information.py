@@ -11,8 +11,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
-from mbcacq.diagnosis.motion.torque_constants import with_torque
+from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare, with_torque
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals

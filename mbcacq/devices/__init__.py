@@ -15,7 +15,20 @@ from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
 from mbcacq.devices.plan_options import DriverOptions, parse_options
-from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
+from mbcacq.devices.protocols import (
+    Cycles,
+    Description,
+    Device,
+    Fact,
+    Field,
+    MotionLimits,
+    Positioner,
+    Robot,
+    RobotState,
+    Scan,
+    Scanner,
+    Sensor,
+)
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.devices.terminal_input import is_interactive, typed_line
 from mbcacq.errors import (
@@ -43,6 +56,7 @@ __all__ = [
     "DeviceFault",
     "DeviceTimeout",
     "DriverOptions",
+    "Fact",
     "Field",
     "IdentityError",
     "MbcacqError",

@@ -1,9 +1,11 @@
-"""What is the same in every driver: it connects on entry and closes on exit."""
+"""What is the same in every driver: it connects on entry, closes on exit, and may have facts that are watched."""
 
 from __future__ import annotations
 
 from types import TracebackType
 from typing import Self
+
+from mbcacq.devices.protocols import Fact
 
 
 class ContextDevice:
@@ -14,6 +16,11 @@ class ContextDevice:
 
     def close(self) -> None:
         raise NotImplementedError
+
+    def facts(self) -> tuple[Fact, ...]:
+        """What results depend on, as far as the device reports it (``Fact``): none before it is connected. A driver refreshes it as often
+        as its protocol gives it; the call itself asks nobody, comes from any thread, and never raises."""
+        return ()
 
     def __enter__(self) -> Self:
         self.connect()

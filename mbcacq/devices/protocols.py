@@ -22,6 +22,36 @@ class Field:
 
 
 @dataclass(frozen=True)
+class Fact:
+    """A property of a device on which results depend, as the device reports it now, e.g. ``Fact("load", 2.3, "kg", 0.05)``.
+
+    Attributes
+    ----------
+    tolerance : float
+        Numbers that differ by no more are the same.
+    critical : bool
+        Poses under two values of it cannot be compared. A change of another fact is recorded, and the pose is kept.
+    """
+
+    name: str
+    value: str | float
+    unit: str = ""
+    tolerance: float = 0.0
+    critical: bool = True
+
+    @property
+    def text(self) -> str:
+        """The value with its unit, e.g. '2.3 kg'."""
+        return f"{self.value if isinstance(self.value, str) else format(self.value, '.6g')} {self.unit}".rstrip()
+
+    def differs(self, other: Fact) -> bool:
+        """Whether the value is another one than that of ``other``."""
+        if isinstance(self.value, str) or isinstance(other.value, str):
+            return self.value != other.value
+        return abs(self.value - other.value) > self.tolerance
+
+
+@dataclass(frozen=True)
 class Description:
     """What a device is and delivers. Known before connecting, except what only the device can tell (serial, firmware, settings).
 
@@ -121,7 +151,9 @@ class Device(Protocol):
         """Open the connection and identify the device. Raises ConnectError, IdentityError."""
         ...
 
-    def describe(self) -> Description: ...
+    def describe(self) -> Description:
+        """What it is and delivers, e.g. ``Description("sensor", "PT100", (Field("air_C", "deg C"),), serial="4711")``."""
+        ...
 
     def stop(self) -> None:
         """Bring the device to rest. Idempotent, allowed in any state and from any thread; never raises."""
@@ -146,18 +178,22 @@ class Robot(Device, Protocol):
         ...
 
     def state(self) -> RobotState:
-        """The latest state, from any thread. Raises the error that stopped the robot, if one did."""
+        """The latest state, from any thread, e.g. ``RobotState(12.504, q, moving=False, arrived=True)``. Raises the error that stopped the
+        robot, if one did."""
         ...
 
     def cycles(self) -> Cycles:
-        """Every cycle received since the last call (possibly none); nothing is dropped silently. Never raises."""
+        """Every cycle received since the last call, nothing dropped silently, e.g. ``Cycles({"time_s": t, "q": q, ...})`` with t (k,) and
+        q (k, n), or ``Cycles({})``. Never raises."""
         ...
 
 
 @runtime_checkable
 class Scanner(Device, Protocol):
     def capture(self, exposure_us: float | None = None) -> Scan:
-        """Expose once and return the scan. Raises DeviceTimeout, ProtocolError, DeviceFault."""
+        """Expose once and return the scan, e.g. ``Scan(points, frame=17)`` with points (N, 3).
+
+        Raises DeviceTimeout, ProtocolError, DeviceFault."""
         ...
 
 
@@ -171,5 +207,5 @@ class Positioner(Device, Protocol):
 @runtime_checkable
 class Sensor(Device, Protocol):
     def read(self) -> dict[str, float]:
-        """Current values by field name, in the units of ``describe()``."""
+        """Current values by field name, in the units of ``describe()``, e.g. ``{"air_C": 21.5}``."""
         ...

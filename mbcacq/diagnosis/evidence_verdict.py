@@ -14,9 +14,8 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import NotSeparable
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, SizedEffects
 from mbcacq.effects.effect_term import UNKNOWN
 

@@ -14,14 +14,12 @@ import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
-from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized, widened
 from mbcacq.diagnosis.output.kept_model import term_of
-from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, prepare, thinned
+from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, prepare
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
@@ -110,8 +108,8 @@ def evidence_given(obs: Observations, stated: Sequence[StatedParameters], option
 
 def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> PosesGiven:
     problem = with_given(prepare(obs, replace(options, displaced=tuple(map(as_displaced, given)))), given)
-    if is_long(problem.linear.obs):
-        problem = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
+    if problem.in_part:
+        problem = problem.searched(problem.linear.keep)
     fit = with_untried_rivals(problem, fit_evidence(problem))
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))

@@ -18,11 +18,10 @@ from mbcacq.diagnosis.findings import EvidenceSummary
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere, errors_elsewhere
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
-from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare
+from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.one_thread import one_thread
@@ -85,7 +84,7 @@ class InterimEvidence:
         """
         found = self.reported
         present = [m.candidate for m in found.members]
-        if is_long(self.problem.linear.obs):  # which is searched in part
+        if self.problem.in_part:
             larger = [h for h in self.full.evidence.hypotheses if h.labels > found.labels]
             return sum(float(np.exp(min(h.log_posterior - found.log_posterior, 0.0))) for h in larger)
         prior, there = SetPrior.of(self.problem.candidates, 1), {(c.name, c.where) for c in present}

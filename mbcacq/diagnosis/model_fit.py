@@ -8,18 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence, kept_centres, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
-from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
-from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
+from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit, model_of
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, RandomEffectsModel, noise_with
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
-from mbcacq.diagnosis.reported_model import model_of
+from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, transferred
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -31,39 +27,43 @@ __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
     """The model of all centres; outliers are judged with it in place."""
-    if is_long(problem.linear.obs):
-        return fit_everywhere(problem, search_in_part(problem))
-    fit = with_untried_rivals(problem, fit_evidence(problem))
-    return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
+    return fit_everywhere(problem, search(problem))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartSearched:
-    """The search for effects of the catalogue in a part of a long recording. problem: of the part; members: what is reported of it, as
-    effects of the whole."""
+class Searched:
+    """The search for effects. problem: of the poses that were searched, of a long recording a part; members: what is reported, as effects
+    of the whole recording."""
 
     problem: DiagnosisProblem
     fit: EvidenceFit
     members: tuple[Member, ...]
 
 
-def search_in_part(problem: DiagnosisProblem) -> PartSearched:
-    """The effects of a long recording, which are searched in a part of it."""
-    part = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
+def search(problem: DiagnosisProblem) -> Searched:
+    """The sets of effects of the most evidence, and the one that is reported."""
+    if not problem.in_part:
+        fit = with_untried_rivals(problem, fit_evidence(problem))
+        return Searched(problem=problem, fit=fit, members=reported_hypothesis(fit).catalogued)
+    part = problem.searched(problem.linear.keep)
     fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
-    return PartSearched(problem=part, fit=fit, members=transferred(part, problem, reported_hypothesis(fit).catalogued))
+    return Searched(problem=part, fit=fit, members=transferred(part, problem, reported_hypothesis(fit).catalogued))
 
 
-def fit_everywhere(problem: DiagnosisProblem, part: PartSearched) -> ModelFit:
-    """The effects that were found in a part of a long recording on all of it, and what is left as random effects at every location."""
-    found = reported_hypothesis(part.fit)
-    point = on_the_whole(problem, part.members, found)
-    random, noise, cells = random_effects_everywhere(problem, part.problem, found, point.noise)
+def fit_everywhere(problem: DiagnosisProblem, searched: Searched) -> ModelFit:
+    """The model of all poses by the effects that were found. A long recording has them fitted to all of it, and what is left are random
+    effects at every location.
+    """
+    found = reported_hypothesis(searched.fit)
+    if not problem.in_part:
+        return model_of(problem, searched.fit, found, searched.fit.linear)
+    point = on_the_whole(problem, searched.members, found)
+    random, noise, cells = random_effects_everywhere(problem, searched.problem, found, point.noise)
     if random:
-        best = under(replace(point, theta=pack(noise)), part.members, found.log_prior)
+        best = under(replace(point, theta=pack(noise)), searched.members, found.log_prior)
     else:
-        best = estimated(part.members, point, found.log_prior)
-    return replace(model_of(problem, part.fit, best, point.linear), random=random, cells=cells)
+        best = estimated(searched.members, point, found.log_prior)
+    return replace(model_of(problem, searched.fit, best, point.linear), random=random, cells=cells)
 
 
 def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
@@ -71,15 +71,14 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
 
     unmodelled: of a long recording, whether there is anything but effects of the catalogue.
     """
-    if not is_long(problem.linear.obs):
-        linear = problem.linear.restricted(keep)
-        fit = compared(problem, linear, pack(problem.noise), narrow=True)
-        found = model_of(problem, fit, reported_hypothesis(fit), linear)
+    part = problem.searched(keep)
+    fit = compared(part, part.linear, pack(part.noise), narrow=not problem.in_part, staged=problem.in_part)
+    best = reported_hypothesis(fit)
+    if not problem.in_part:
+        found = model_of(problem, fit, best, part.linear)
         return found.model, found.random
-    small = thinned(problem, keep, OPTIONS.searched_poses)
-    best = reported_hypothesis(compared(small, small.linear, pack(small.noise), staged=True))
-    random = random_effects_everywhere(problem, small, best, best.point.noise, known=True)[0] if unmodelled else ()
-    return EffectSet(transferred(small, problem, best.catalogued)), random
+    random = random_effects_everywhere(problem, part, best, best.point.noise, known=True)[0] if unmodelled else ()
+    return EffectSet(transferred(part, problem, best.catalogued)), random
 
 
 def on_the_whole(problem: DiagnosisProblem, members: Sequence[Member], found: Hypothesis) -> NoisePoint:

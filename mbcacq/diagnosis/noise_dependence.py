@@ -18,8 +18,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import NoiseDependence
 from mbcacq.diagnosis.validation.predictive_score import training_score
-from mbcacq.effects.artefact_normals import artefact_normals
-from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.covariates import Covariates, artefact_normals
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.several import shares
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
@@ -77,6 +77,19 @@ class DiagnosisProblem:
     geometry_alone: tuple[GeometryAlone, ...] = ()
     budget: TimeBudget = UNLIMITED
     given: tuple[GivenEffect, ...] = ()
+
+    @property
+    def in_part(self) -> bool:
+        """Whether it has so many poses that effects are searched in a part of them, and what is unmodelled stands at all locations."""
+        return self.linear.obs.n_poses > unmodelled.OPTIONS.many_poses
+
+    def searched(self, keep: np.ndarray) -> DiagnosisProblem:
+        """The poses of the centres keep (M,) bool in which effects are searched: all of them, or as many as are searched of a long
+        recording, evenly at random.
+        """
+        if self.in_part:
+            return thinned(self, keep, OPTIONS.searched_poses)
+        return self.with_linearization(self.linear.restricted(keep))
 
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
@@ -154,11 +167,6 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
 
 def _first(value: float | tuple[float, ...]) -> float:
     return float(np.atleast_1d(value)[0])
-
-
-def is_long(obs: Observations) -> bool:
-    """Whether a recording has so many poses that it is searched in part, and what is unmodelled stands at all locations."""
-    return obs.n_poses > unmodelled.OPTIONS.many_poses
 
 
 def not_grossly_off(residual: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import importlib
 import importlib.metadata
 import os
@@ -25,7 +24,6 @@ LIBRARIES = {  # distribution: module; None: only its presence is asked for
 }
 LEAST_DISK, GOOD_DISK = 256 << 20, 4 << 30
 LEAST_SHARED = 64 << 20
-ICD = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 
 
 def lines() -> Iterator[CheckupLine]:
@@ -111,12 +109,8 @@ def _priority() -> CheckupLine:
 
 
 def _vulkan() -> CheckupLine:
-    drivers = [path.name for folder in ICD if Path(folder).is_dir() for path in Path(folder).glob("*.json")]
-    if sys.platform != "linux" or (ctypes.util.find_library("vulkan") and drivers):
-        return CheckupLine("ok", "pictures", f"Vulkan drivers: {', '.join(sorted(drivers)) or 'the system has its own'}")
-    return CheckupLine(
-        "warning",
-        "pictures",
-        "no Vulkan driver: mbcacq view --screenshot will not work without a screen",
-        "apt-get install mesa-vulkan-drivers",
-    )
+    from mbcacq.recording.viewer.vulkan import PACKAGE, has_vulkan, vulkan_drivers
+
+    if has_vulkan():
+        return CheckupLine("ok", "pictures", f"Vulkan drivers: {', '.join(vulkan_drivers()) or 'the system has its own'}")
+    return CheckupLine("warning", "pictures", "no Vulkan driver: mbcacq view --screenshot will not work without a screen", PACKAGE)

@@ -230,3 +230,11 @@ def _of_functions(functions: tuple[Function, ...], values: Values, known: Known)
             value = value * function(values)
         known[id(functions)] = functions, value
     return known[id(functions)][1]
+
+
+LEAST_PERIODS = 1.0  # of an order that is only found, which the travel must cover for the claim that the error is periodic
+
+
+def periods_covered(q: np.ndarray, order: float) -> float:
+    """Periods of an order that the travel of a joint q (P,) rad covers."""
+    return float(order * np.ptp(q) / (2 * np.pi))

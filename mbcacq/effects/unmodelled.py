@@ -197,6 +197,8 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
     names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]
     size = max(float(np.abs(here.gravity_moment(index)).max()), 1e-12)
     used = [c for c in range(3) if np.abs(here.value(names[c])).max() > 1e-6 * size]
+    if not used:  # nothing with a mass is behind it
+        return None
     parts = []
     for j, c in enumerate(used):
         columns = tuple(linear(names[c]) if i == j else () for i in range(len(used)))

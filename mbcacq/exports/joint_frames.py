@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import yaml
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model import yaml12
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: a joint that counts the other way turns about the opposite z
@@ -43,4 +43,4 @@ def kinematics_yaml(chain: Chain, robot: str = "") -> str:
         (x, y, z), (yaw, pitch, roll) = se3.to_abc(T)
         values = {"x": x / 1e3, "y": y / 1e3, "z": z / 1e3, "roll": roll, "pitch": pitch, "yaw": yaw}
         content[name] = {key: round(float(v), 12) + 0.0 for key, v in values.items()}
-    return yaml.safe_dump({"kinematics": content}, sort_keys=False)
+    return yaml12.dump({"kinematics": content})

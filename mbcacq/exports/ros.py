@@ -6,9 +6,9 @@ Metres; quaternions x y z w.
 from __future__ import annotations
 
 import numpy as np
-import yaml
 
 from mbcacq.errors import ConfigError
+from mbcacq.model import yaml12
 from mbcacq.recording.datasets import quaternions
 
 
@@ -39,7 +39,7 @@ def hand_eye_yaml(
         },
         "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": {"x": qx, "y": qy, "z": qz, "w": qw}},
     }
-    return yaml.safe_dump(data, sort_keys=False)
+    return yaml12.dump(data)
 
 
 def static_transform_command(T: np.ndarray, parent: str = "tool0", child: str = "scanner_frame") -> str:

@@ -1,6 +1,7 @@
 """Atomic writes: after a full disk, a kill or a power cut a file is the old one or the new one, whole.
 
-The content goes to a temporary file in the same folder and is brought to the disk before it takes the name; then the folder is.
+The content goes to a temporary file in the same folder and is brought to the disk before it takes the name; then the folder is. No file
+is written through a link that leads out of the folder in which it stands: a folder may come from somebody else.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Content = bytes | str | Callable[[Path], object]  # of a file; a function writes
 _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # what cannot be synchronised, such as some network folders
 
 
-def write_file(path: Path | str, data: bytes | str) -> Path:
+def write_file(path: Path | str, data: bytes | str, *, folder: Path | None = None) -> Path:
     """Write a whole file; an existing one is replaced only when the new one is on the disk.
 
     Parameters
@@ -36,6 +37,8 @@ def write_file(path: Path | str, data: bytes | str) -> Path:
         Missing folders are made. A link stays a link, and what it leads to is replaced. A pipe or device is written to as it is.
     data
         Text is written as UTF-8, without a change of line ends.
+    folder
+        Links may lead anywhere in it; default: the folder of ``path``.
 
     Returns
     -------
@@ -44,26 +47,44 @@ def write_file(path: Path | str, data: bytes | str) -> Path:
     Raises
     ------
     RecordingError
-        The file cannot be written; an existing one is as it was.
+        The file cannot be written, or is a link that leads out of the folder; an existing one is as it was.
     """
     content = data.encode("utf-8", errors="surrogateescape") if isinstance(data, str) else data
-    with replacing(path) as partial:
+    with replacing(path, folder=folder) as partial:
         partial.write_bytes(content)
     return Path(path)
 
 
+def inside_folder(path: Path | str, folder: Path | None = None) -> Path:
+    """The file that a path leads to through links, which may lead anywhere in a folder (default: that of the path) and nowhere else.
+
+    Whoever opens a file for writing by itself asks here first. Names of the system (/dev/stdout) may lead where they do.
+
+    Raises
+    ------
+    RecordingError
+        A link leads out of the folder.
+    """
+    target, home = Path(os.path.realpath(path)), Path(os.path.realpath(Path(path).parent if folder is None else folder))
+    of_system = Path(path).absolute().parts[1:2] in (("dev",), ("proc",))
+    if not (target.is_relative_to(home) or of_system):
+        raise RecordingError(f"{path} is a link to {target}, outside its folder, and is not written through; remove the link")
+    return target
+
+
 @contextmanager
-def replacing(path: Path | str) -> Iterator[Path]:
+def replacing(path: Path | str, *, folder: Path | None = None) -> Iterator[Path]:
     """A temporary path beside ``path`` for a library that writes files itself; what stands there at the end of the block takes the name.
 
     Raises
     ------
     RecordingError
-        The temporary file cannot be written or renamed, or an OSError left the block; an existing file is as it was.
+        The temporary file cannot be written or renamed, an OSError left the block, or a link leads out of the folder (see ``write_file``);
+        an existing file is as it was.
     """
     path = Path(path)
     try:
-        target = _target(path)
+        target = _target(path, folder)
         if target.exists() and not target.is_file():
             yield target  # a pipe, a terminal, a device: nothing that could be replaced
             return
@@ -162,14 +183,15 @@ def _pair(folder: Path, line: str) -> tuple[Path, Path]:
     entry = json.loads(line)
     inside = Path(entry["name"])
     target = Path(os.path.realpath(folder / entry["name"]))
-    if inside.is_absolute() or ".." in inside.parts or not _is_partial_of(target.name, entry["from"]):
+    home = os.path.realpath(folder)
+    if inside.is_absolute() or not target.is_relative_to(home) or not _is_partial_of(target.name, entry["from"]):
         raise ValueError(line)
     return target.with_name(entry["from"]), target
 
 
 def _replace_set(folder: Path, files: Mapping[str, Content], on_disk: Callable[[str, Path], object]) -> None:
     finish_set(folder)
-    targets = {name: _target(folder / name) for name in files}
+    targets = {name: _target(folder / name, folder) for name in files}
     partials: dict[str, Path] = {}
     try:
         for name, content in files.items():
@@ -239,9 +261,9 @@ def _new_folder(folder: Path, files: Mapping[str, Content], on_disk: Callable[[s
     sync_folder(folder.parent)
 
 
-def _target(path: Path) -> Path:
-    """The file that a path leads to through links, in a folder that exists."""
-    target = Path(os.path.realpath(path))
+def _target(path: Path, folder: Path | None = None) -> Path:
+    """``inside_folder``, in a folder that exists."""
+    target = inside_folder(path, folder)
     _make_folder(target.parent)
     return target
 
@@ -261,7 +283,9 @@ def _partial(target: Path) -> Path:
         for old in target.parent.iterdir():
             if _is_partial_of(stem, old.name) and time.time() - old.stat().st_mtime > ABANDONED_S:
                 _remove(old)
-    return target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}")
+    partial = target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}")
+    _remove(partial)  # a link of that name in a folder from somebody else
+    return partial
 
 
 def _is_partial_of(name: str, partial: str) -> bool:

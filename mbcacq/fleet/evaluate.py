@@ -86,7 +86,7 @@ def evaluate_fleet(
     ConnectError
         The scheduler does not answer.
     """
-    from mbcacq.diagnosis.workers import cores
+    from mbcacq.diagnosis.executor import cores
     from mbcacq.report.page import render_fleet
 
     task = task or FleetTask()

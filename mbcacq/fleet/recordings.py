@@ -12,6 +12,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Column, TableSchema, read_table
+from mbcacq.recording.run_folder.register import RunKind, kind_of
 
 LISTED = TableSchema(
     "a table of recordings",
@@ -79,7 +80,8 @@ def find_recordings(sources: Sequence[Path | str]) -> list[FleetRecording]:
 def searched(source: Path) -> Iterable[Path]:
     """The recordings at and below a path."""
     if source.is_file() or is_recording(source):
-        yield source
+        if source.is_file() or kind_of(source) is not RunKind.CHECK:  # few poses at one station are no calibration
+            yield source
         return
     for path in source.iterdir():
         if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):

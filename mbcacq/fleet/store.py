@@ -76,7 +76,7 @@ class FleetStore:
         """Write a result, in one step; its row. Raises RecordingError."""
         from mbcacq.files.atomic_write import write_file
 
-        write_file(self.path(recording), outcome.text)
+        write_file(self.path(recording), outcome.text, folder=self.folder)
         return outcome.row
 
     def write(self, rows: Sequence[FleetRow], page: str) -> tuple[Path, Path]:

@@ -14,22 +14,28 @@ from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
-from mbcacq.errors import CellChanged, ConfigError
+from mbcacq.errors import CellChanged, ConfigError, command_line
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
+from mbcacq.interim_check.shown_figures import shown
 from mbcacq.interim_check.verdict import CheckVerdict, verdict_of
 from mbcacq.interim_check.words import sentence_of
 from mbcacq.model.json_text import fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.quantities import capitalised
 from mbcacq.recording.run_folder.lock import write_lock
+from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.report import write_check_page
+from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
+from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides, name_of
-from mbcacq.workflow.load import as_plan, as_result, load_observations
+from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
 from mbcacq.workflow.run import Operator
 
 HISTORY = "check.json"
@@ -99,7 +105,7 @@ class InterimCheck:
         """
         times, since, between = [day.time for day in self.history.days], self.verdict.since, self.verdict.between
         return {
-            "format": "mbcacq-check-result/1",
+            "format": FORMAT,
             **fields_as_json(self.verdict),
             "checks": len(times),
             "log_e_by_check": [day.log_e for day in self.history.days],
@@ -108,6 +114,27 @@ class InterimCheck:
             "before_first_check": since == 0,
             "files": {"history": str(self.file), "recording": str(self.run)},
         }
+
+    def next_step(self, result: Path | str, plan: Path, dry_run: bool) -> tuple[str, str]:
+        """What to do after this check, and the command for it.
+
+        Parameters
+        ----------
+        result, plan
+            The calibration and the plan of the check.
+        dry_run
+            Whether the cell is the fake one.
+
+        Returns
+        -------
+        tuple of str
+            In words, and as a command.
+        """
+        how = "--dry-run" if dry_run else "--arm"
+        kept = () if self.file == _history_file(result, None) else ("--history", self.file)
+        if self.changed:
+            return "put right what changed, or calibrate anew", command_line("run", plan, how)
+        return "check again tomorrow, or after any work on the cell", command_line("check", result, plan, how, *kept)
 
     def refuse_changed(self) -> None:
         """Raise an error if the cell changed.
@@ -191,12 +218,23 @@ def check(
         else:
             run = Path(measured)
         operator.progress("judging")
-        past = with_observations(planned, past, load_observations(run), run)
+        measured_now = load_observations(run)
+        simulated = measured_now.cell.simulated
+        past = with_observations(planned, past, measured_now, run)
         verdict = verdict_of(planned, past)
         past = past.judged(verdict.log_e, verdict.log_e_calibration)
         past.write(file)
+        done = InterimCheck(verdict, past, file, run)
+        if is_run_folder(run):
+            operator.progress("drawing the page")
+            named = result if isinstance(result, Path | str) else file.parent
+            about = {"sentence": capitalised(done.sentence), "simulated": simulated, "calibration": str(named)}
+            about |= {"version": f"mbcacq {__version__}", "next": done.next_step(named, loaded.path, dry_run)}
+            kept = done.to_dict() | shown(planned, past, verdict) | about
+            keep_check_result(run, kept)
+            write_check_page(kept, run / "report.html")
         operator.progress("")
-        return InterimCheck(verdict, past, file, run)
+        return done
 
 
 def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observations, run: Path) -> CheckHistory:
@@ -262,6 +300,7 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
         loaded = replace(loaded, plan=loaded.plan.model_copy(update={"fake": options}))
     operator.progress("checking every motion between the poses")
     acquisition = plan_acquisition(loaded, poses, frozenset(), 0, name_of(dry_run, seed))
+    acquisition.kind = RunKind.CHECK
     acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
     operator.progress("")
     if not dry_run:

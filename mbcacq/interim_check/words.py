@@ -19,8 +19,10 @@ def odds(log_e: float) -> str:
 
 
 def in_degrees(value: float, std: float, unit: str) -> str:
-    """A size with its expanded uncertainty (k = 2): angles in degrees."""
+    """A size with its expanded uncertainty (k = 2), or two digits of one without: angles in degrees."""
     factor, shown = (180 / np.pi, "°") if unit == "rad" else (1.0, f" {unit}" if unit else "")
+    if not std:
+        return f"{float(f'{factor * value:.2g}'):g}{shown}"
     return measured(factor * value, factor * K * std, shown.strip())
 
 

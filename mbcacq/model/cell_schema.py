@@ -10,9 +10,29 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model import cell
-
-Vector = tuple[float, float, float]
-Size = Annotated[float, Field(ge=0)]
+from mbcacq.model.bounds import (
+    Acceleration,
+    Angle,
+    AngleNoise,
+    Angles,
+    Direction,
+    Distance,
+    Expansion,
+    GearRatio,
+    Jerk,
+    JointAngle,
+    Length,
+    Mass,
+    Noise,
+    PayloadMass,
+    Place,
+    Position,
+    Repeatability,
+    RoomTemperature,
+    RotationRow,
+    Speed,
+    Uncertainty,
+)
 
 
 def whole(value: Any) -> Any:
@@ -26,7 +46,6 @@ def whole(value: Any) -> Any:
 
 MOST_EXACT = 2.0**53  # above it not every whole number is a float
 Whole = Annotated[int, BeforeValidator(whole)]
-RoomTemperature = Annotated[float, Field(ge=-40, le=80)]  # of a place where a robot works
 
 
 def _rising(limits: tuple[float, float]) -> tuple[float, float]:
@@ -47,10 +66,10 @@ class Strict(BaseModel):
 class PoseSpec(Strict):
     """A frame: rotation matrix or KUKA angles A, B, C (deg), and translation (mm)."""
 
-    rotation: tuple[Vector, Vector, Vector] | None = None
-    abc_deg: Vector | None = None
-    translation_mm: Vector = (0.0, 0.0, 0.0)
-    sigma_mm: float | None = None
+    rotation: tuple[RotationRow, RotationRow, RotationRow] | None = None
+    abc_deg: Angles | None = None
+    translation_mm: Place = (0.0, 0.0, 0.0)
+    sigma_mm: Uncertainty | None = None
 
     def transform(self) -> np.ndarray:
         """(4, 4); a rotation matrix given with few digits is brought to the nearest rotation, one given in full is kept bit for bit."""
@@ -64,31 +83,31 @@ class PoseSpec(Strict):
 
 class LinkSpec(Strict):
     sign: Literal[-1, 1] = 1
-    theta_deg: float
-    d_mm: float
-    a_mm: float
-    alpha_deg: float
-    beta_deg: float = 0.0
-    limits_deg: tuple[float, float] = (-360.0, 360.0)
-    speed_deg_s: float | None = None
-    acceleration_deg_s2: float | None = None
-    jerk_deg_s3: float | None = None
-    mass_kg: float = 0.0
-    com_mm: Vector = (0.0, 0.0, 0.0)
-    gear_ratio: float | None = None
+    theta_deg: Angle
+    d_mm: Position
+    a_mm: Position
+    alpha_deg: Angle
+    beta_deg: Angle = 0.0
+    limits_deg: tuple[JointAngle, JointAngle] = (-360.0, 360.0)
+    speed_deg_s: Speed | None = None
+    acceleration_deg_s2: Acceleration | None = None
+    jerk_deg_s3: Jerk | None = None
+    mass_kg: Mass = 0.0
+    com_mm: Place = (0.0, 0.0, 0.0)
+    gear_ratio: GearRatio | None = None
 
 
 class PayloadSpec(Strict):
-    mass_kg: float = Field(default=0.0, ge=0, le=5000)  # what the largest arms carry, and more
-    com_mm: Vector = (0.0, 0.0, 0.0)
+    mass_kg: PayloadMass = 0.0
+    com_mm: Place = (0.0, 0.0, 0.0)
 
 
 class RobotSpec(Strict):
     name: str
     links: tuple[LinkSpec, ...] = Field(min_length=2)
     payload: PayloadSpec = PayloadSpec()
-    base_to_gravity: Vector = (0.0, 0.0, -1.0)
-    repeatability_mm: float | None = Field(default=None, gt=0)
+    base_to_gravity: Direction = (0.0, 0.0, -1.0)
+    repeatability_mm: Repeatability | None = None
     balancer: bool | None = None
 
     def model(self) -> cell.RobotModel:
@@ -130,16 +149,16 @@ class BallSpec(Strict):
     """centre_mm may be missing where the artefact is not certified."""
 
     id: int
-    centre_mm: Vector | None = None
-    diameter_mm: float = Field(default=0.0, ge=0)
+    centre_mm: Place | None = None
+    diameter_mm: Distance = 0.0
 
 
 class KnownLengthSpec(Strict):
     """The distance of two balls of an artefact that is not certified otherwise."""
 
     balls: tuple[int, int]
-    length_mm: float = Field(gt=0)
-    uncertainty_mm: float = Field(default=0.0, ge=0)
+    length_mm: Length
+    uncertainty_mm: Uncertainty = 0.0
 
 
 class ArtefactSpec(Strict):
@@ -148,9 +167,9 @@ class ArtefactSpec(Strict):
 
     id: str
     name: str = ""
-    reference_temperature_C: float = 20.0
-    expansion_ppm_per_K: float | None = None
-    uncertainty_mm: float = Field(default=0.001, ge=0)
+    reference_temperature_C: RoomTemperature = 20.0
+    expansion_ppm_per_K: Expansion | None = None
+    uncertainty_mm: Uncertainty = 0.001
     balls: tuple[BallSpec, ...] = Field(min_length=1)
     certificate: str | None = None
     certified: bool = True
@@ -192,8 +211,8 @@ class ScannerSpec(Strict):
     """noise_mm: of one centre along x, y, z; zeros say as little as none."""
 
     name: str = ""
-    noise_mm: tuple[Size, Size, Size] | None = None
-    noise_deg: float | None = Field(default=None, gt=0)
+    noise_mm: tuple[Noise, Noise, Noise] | None = None
+    noise_deg: AngleNoise | None = None
 
 
 # What people call who carries what; the first of each is how the program writes it.
@@ -208,7 +227,7 @@ class FlangePosesSpec(Strict):
     (ZYX, xyz, vector, wxyz ..), length and angle: units, where the headings do not say."""
 
     robot: str = "poses of the flange"
-    repeatability_mm: float | None = Field(default=None, gt=0)
+    repeatability_mm: Repeatability | None = None
     orientation: str | None = None
     length: Literal["mm", "m"] | None = None
     angle: Literal["deg", "rad"] | None = None

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, nearest
+from mbcacq.model import yaml12
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import RobotSpec
 
@@ -41,13 +40,14 @@ def robots() -> list[str]:
 def robot_file(name: str) -> Path:
     """The YAML of a robot by name. Raises ConfigError naming the choices."""
     if name not in robots():
-        raise ConfigError(f"there is no robot '{name}' among those of the tool ({', '.join(robots())}); correct the name or give its links")
+        advice = nearest(name, robots()) or "; correct the name or give its links"
+        raise ConfigError(f"there is no robot '{name}' among those of the tool ({', '.join(robots())}){advice}")
     return folder() / "robots" / f"{name}.yaml"
 
 
 def robot(name: str) -> RobotModel:
     """The arm of that name as it is shipped. Raises ConfigError naming the choices."""
-    content = yaml.safe_load(robot_file(name).read_text(encoding="utf-8"))
+    content = yaml12.load(robot_file(name).read_text(encoding="utf-8"))
     return RobotSpec.model_validate(content).model()
 
 
@@ -61,4 +61,6 @@ def named_file(kind: str, name: str) -> Path:
         return own[name]
     if Path(name).is_file():
         return Path(name)
-    raise ConfigError(f"there is no file {name}, and among the tool's {kind} none of that name ({', '.join(own)}); correct it")
+    raise ConfigError(
+        f"there is no file {name}, and among the tool's {kind} none of that name ({', '.join(own)}){nearest(name, own) or '; correct it'}"
+    )

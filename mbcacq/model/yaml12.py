@@ -60,6 +60,18 @@ Yaml12Dumper.add_implicit_resolver(_INT, _INT_PATTERN, list("-+0123456789"))
 Yaml12Dumper.add_implicit_resolver(_FLOAT, _FLOAT_PATTERN, list("-+.0123456789"))
 
 
+class Flow(dict):
+    """A mapping that is written on one line."""
+
+
+class FlowList(list):
+    """A list that is written on one line."""
+
+
+Yaml12Dumper.add_representer(Flow, lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True))
+Yaml12Dumper.add_representer(FlowList, lambda dumper, data: dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True))
+
+
 def dump(data: Any, **how: Any) -> str:
-    """YAML text of plain data, in the order of their keys; ``how`` as ``yaml.dump`` takes it."""
+    """YAML text of plain data, in the order of their keys; ``how`` as ``yaml.dump`` takes it. Readers of YAML 1.1 take the same from it."""
     return yaml.dump(data, Dumper=Yaml12Dumper, sort_keys=False, **how)

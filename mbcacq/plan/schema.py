@@ -6,14 +6,28 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector, Whole, whole
+from mbcacq.model.bounds import (
+    Angle,
+    CouplingFactor,
+    Direction,
+    Error,
+    Gap,
+    JointAngle,
+    Length,
+    Noise,
+    Place,
+    Position,
+    Pulses,
+    Radius,
+    Resolution,
+)
+from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Whole, whole
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
 MOST_PLACES = 100  # at which a plan asks for accuracy
 LEAST_SPEED = 1e-3  # of the axes' largest: slower ones take hours from pose to pose, and cannot be timed
 LONGEST_S = 3600.0  # of what is waited for at one pose
 Options = Annotated[dict[str, Any], BeforeValidator(whole)]
-Noise = Annotated[float, Field(ge=0, le=10)]  # mm; what is worse tells no ball of an artefact from the next
 
 
 class Coupling(Strict):
@@ -21,16 +35,16 @@ class Coupling(Strict):
 
     axis: Whole = Field(ge=1)
     of: Whole = Field(ge=1)
-    factor: float
+    factor: CouplingFactor
 
 
 class ControllerJoints(Strict):
     """How the controller counts its joints where that differs from the robot file: sign * angle + offset, then the couplings."""
 
     sign: tuple[Literal[-1, 1], ...] | None = None
-    offset_deg: tuple[float, ...] | None = None
+    offset_deg: tuple[JointAngle, ...] | None = None
     couplings: tuple[Coupling, ...] = ()  # of FANUC, whose A3 is counted from the horizontal: {axis: 3, of: 2, factor: -1}
-    pulses_per_deg: tuple[float, ...] | None = None  # of encoders, for jobs that hold pulses (INFORM)
+    pulses_per_deg: tuple[Pulses, ...] | None = None  # of encoders, for jobs that hold pulses (INFORM)
 
 
 class FollowUse(Strict):
@@ -54,10 +68,10 @@ class RobotUse(Strict):
     jerk_time_s: float = Field(default=0.1, gt=0, le=60)  # time to reach that acceleration
     settle_s: float = Field(default=0.3, ge=0, le=LONGEST_S)
     tolerance_deg: float = Field(default=0.01, gt=0, le=30)
-    home_deg: tuple[float, ...]  # where the run starts, ends, and the artefact is moved
+    home_deg: tuple[JointAngle, ...]  # where the run starts, ends, and the artefact is moved
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
-    link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
-    base_to_gravity: Vector | None = None  # for an arm on a wall or a ceiling; default: the robot file's
+    link_radius_mm: Radius | None = None  # of the upper arm, for collisions; default: 7 % of the arm's reach
+    base_to_gravity: Direction | None = None  # for an arm on a wall or a ceiling; default: the robot file's
     follow: FollowUse | None = None  # only follow the arm, never move it
     controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
 
@@ -65,11 +79,11 @@ class RobotUse(Strict):
 class FieldOfView(Strict):
     """Where the scanner sees, in its own frame: a frustum from z near to z far, half widths there. z points to the scanner."""
 
-    near_z_mm: float
-    far_z_mm: float
-    near_half_mm: tuple[float, float]
-    far_half_mm: tuple[float, float]
-    body_mm: tuple[Vector, Vector] | None = None  # housing, a box in the scanner frame: min, max corner
+    near_z_mm: Position
+    far_z_mm: Position
+    near_half_mm: tuple[Position, Position]
+    far_half_mm: tuple[Position, Position]
+    body_mm: tuple[Place, Place] | None = None  # housing, a box in the scanner frame: min, max corner
 
 
 class ScannerUse(Strict):
@@ -81,7 +95,7 @@ class ScannerUse(Strict):
     noise_mm: tuple[Noise, Noise, Noise] | None = None  # of one fitted ball centre along x, y, z, in the middle of the field of view
     noise_far_mm: tuple[Noise, Noise, Noise] | None = None  # the same at its far end, where it differs; between them by their ratio
     noise_factor_at_60_deg: float = Field(default=1.0, ge=1, le=100)  # how many times noisier a surface is that is seen 60 deg aslant
-    resolution_mm: float | None = Field(default=None, gt=0.03)  # between neighbouring points, in the middle of the field of view
+    resolution_mm: Resolution | None = None  # between neighbouring points, in the middle of the field of view
     keep_clouds: Literal["balls", "all"] = "balls"  # in the recording: the points of the balls with a thinned rest, or every point
     scan_time_s: float = Field(default=1.0, ge=0, le=LONGEST_S)  # of one exposure with its transfer, for the estimate of the duration
     reconnect_s: float = Field(default=90.0, ge=0, le=86400)  # how long a scanner that went away (a reboot, a cable) is tried again
@@ -109,9 +123,9 @@ class View(Strict):
     """How the scanner looks at a point: tilt of its axis from the station's z axis towards azimuth, roll about its axis."""
 
     tilt_deg: float = Field(default=0.0, ge=0, lt=90)
-    azimuth_deg: float = 0.0
-    roll_deg: float = 0.0
-    shift_mm: Vector = (0.0, 0.0, 0.0)  # of the looked-at point, in the scanner frame
+    azimuth_deg: Angle = 0.0
+    roll_deg: Angle = 0.0
+    shift_mm: Place = (0.0, 0.0, 0.0)  # of the looked-at point, in the scanner frame
     wrist: Literal["any", "positive", "negative"] = "any"  # sign of A5: the two ways a wrist reaches one orientation
 
 
@@ -127,7 +141,7 @@ class Translate(Step):
     do: Literal["translate"]
     station: str | int
     view: View = View()
-    offsets_mm: tuple[Vector, ...] = Field(min_length=1)
+    offsets_mm: tuple[Place, ...] = Field(min_length=1)
 
 
 class Look(Step):
@@ -145,7 +159,7 @@ class Taught(Step):
 
     do: Literal["joints"]
     station: str | int
-    poses_deg: tuple[tuple[float, ...], ...] = Field(min_length=1)
+    poses_deg: tuple[tuple[JointAngle, ...], ...] = Field(min_length=1)
     balls: tuple[Whole, ...] | None = None  # expected ids; default: all in view
 
 
@@ -156,22 +170,22 @@ class Obstacle(Strict):
     """Something the arm must not touch: a box along the axes of the base frame, from one corner to the other."""
 
     name: str
-    min_mm: Vector
-    max_mm: Vector
+    min_mm: Place
+    max_mm: Place
 
 
 class Workspace(Strict):
     """A box along the axes of the base frame that the arm from its second link on, with flange and scanner, must stay in."""
 
-    min_mm: Vector
-    max_mm: Vector
+    min_mm: Place
+    max_mm: Place
 
 
 class AcceptanceBox(Strict):
     """Where the arm is to be accurate: a box along the axes of the base frame."""
 
-    min_mm: Vector
-    max_mm: Vector
+    min_mm: Place
+    max_mm: Place
 
 
 class Acceptance(Strict):
@@ -179,10 +193,10 @@ class Acceptance(Strict):
     which ``investigate`` and ``diagnose --next`` choose poses as well.
     """
 
-    sphere_spacing_error_mm: float | None = Field(default=None, gt=0)
+    sphere_spacing_error_mm: Error | None = None
     min_balls: Whole = Field(default=3, ge=1)
     box: AcceptanceBox | None = None
-    places_mm: tuple[Vector, ...] = Field(default=(), max_length=MOST_PLACES)
+    places_mm: tuple[Place, ...] = Field(default=(), max_length=MOST_PLACES)
 
 
 class Plan(Strict):
@@ -197,11 +211,11 @@ class Plan(Strict):
     room_temperature_C: TemperatureRange | None = None  # range that the room keeps: its share of a verified length's uncertainty
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: Whole = Field(default=3, ge=1, le=MOST_EXPOSURES)
-    station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run
+    station_tolerance_mm: Length = 30.0  # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
     workspace: Workspace | None = None  # nothing of the arm that moves may leave it
-    clearance_mm: float = Field(default=10.0, ge=0)  # closer than this counts as a collision
-    tripod_radius_mm: float = Field(default=40.0, ge=0)  # of the stand below each station, down to the lowest obstacle; 0: none
+    clearance_mm: Gap = 10.0  # closer than this counts as a collision
+    tripod_radius_mm: Gap = 40.0  # of the stand below each station, down to the lowest obstacle; 0: none
     steps: tuple[AnyStep, ...] = Field(min_length=1)
     accept: Acceptance = Acceptance()
     fake: dict[str, Any] = {}  # errors injected into the fake cell; a real run ignores it

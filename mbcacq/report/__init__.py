@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.report.content import Content, ReportVerdict
 
-__all__ = ["judged", "pdf_from_result", "report_from_result", "write_diagnosis_page", "write_report_page"]
+__all__ = ["judged", "pdf_from_result", "report_from_result", "write_check_page", "write_diagnosis_page", "write_report_page"]
 
 
 def report_from_result(
@@ -56,10 +56,25 @@ def pdf_from_result(
 
     Raises ConfigError too where the libraries for it are missing.
     """
+    from mbcacq.report.page import render
     from mbcacq.report.paper import write_pdf
     from mbcacq.report.sources.from_result import content_of
 
-    return write_pdf(content_of(result, observations, run_info), path)
+    content = content_of(result, observations, run_info)
+    return write_pdf(lambda: render(content, paper=True), path)
+
+
+def write_check_page(kept: Mapping[str, Any], path: str | Path) -> Path:
+    """Write the page of a check, of what it left in its folder; a PDF where the name ends in .pdf.
+
+    Raises ConfigError where the libraries for a PDF are missing, RecordingError where the file cannot be written.
+    """
+    from mbcacq.report.page import render_check
+    from mbcacq.report.paper import write_pdf
+
+    if Path(path).suffix.lower() == ".pdf":
+        return write_pdf(lambda: render_check(kept, paper=True), path)
+    return write_file(path, render_check(kept))
 
 
 def write_diagnosis_page(

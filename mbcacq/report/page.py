@@ -115,6 +115,15 @@ def render_changes(changes: ChangesContent) -> str:
     return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures)
 
 
+def render_check(kept: Mapping[str, Any], *, paper: bool = False) -> str:
+    """HTML of a check, of what it left in its folder."""
+    from mbcacq.report.charts.check_charts import check_figures
+
+    figures = check_figures(dict(kept))
+    drawn = static_figures(figures) if paper else _embedded(figures)
+    return _template("check_page.html.j2", k=kept, changed=kept["verdict"] == "changed", figures=drawn, paper=paper)
+
+
 @cache
 def _environment() -> Environment:
     """One for all pages: it keeps the templates that it has compiled."""

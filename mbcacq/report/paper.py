@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
-from mbcacq.report.content import Content
-from mbcacq.report.page import render
 
 MISSING = "a PDF needs the libraries WeasyPrint and Matplotlib: pip install 'mbcacq[pdf]' (WeasyPrint also wants Pango: see docs/report.md)"
 
 
-def write_pdf(content: Content, path: str | Path) -> Path:
-    """Write a report as PDF on A4.
+def write_pdf(draw: Callable[[], str], path: str | Path) -> Path:
+    """Write a page as PDF on A4.
 
     Parameters
     ----------
-    content
-        What the report holds.
+    draw
+        Returns its HTML for paper; called once the libraries are known to be there.
     path
         The file; its folder is made where it is missing.
 
@@ -35,8 +34,7 @@ def write_pdf(content: Content, path: str | Path) -> Path:
         from weasyprint.urls import URLFetcher
     except (ImportError, OSError) as error:
         raise ConfigError(f"{MISSING} ({error})") from None
-    html = render(content, paper=True)
     inside = URLFetcher(allowed_protocols=["data"])  # pictures stand in the page itself; nothing else is ever fetched
-    page = weasyprint.HTML(string=html, url_fetcher=inside).write_pdf()
+    page = weasyprint.HTML(string=draw(), url_fetcher=inside).write_pdf()
     assert page is not None, "it is returned where no target is given"
     return write_file(path, page)

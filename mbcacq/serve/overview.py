@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.result_json import load_result
+from mbcacq.recording.run_folder.register import CHECK_RESULT, RunKind, kind_of
+from mbcacq.recording.run_folder.run_plan import FILES as PLAN_FILES
+from mbcacq.report.sources.check_result import read_check_result
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity
 
 if TYPE_CHECKING:
     from mbcacq.report.content import Content
 
-FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl")
+FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl", CHECK_RESULT, PLAN_FILES)
 MOST_BYTES = 64 << 20  # of one of these files; a result has a few
 
 
@@ -36,6 +39,10 @@ class Overview:
         Date and time of the recording, as text.
     simulated : bool
         The result is of simulated data.
+    kind : RunKind
+        What was recorded.
+    check : Mapping[str, Any] or None
+        What a check said, None where there is none or it was not judged.
     """
 
     content: Content | None = None
@@ -43,6 +50,8 @@ class Overview:
     best: Mapping[str, Any] = field(default_factory=dict)
     started: str = ""
     simulated: bool = False
+    kind: RunKind = RunKind.RUN
+    check: Mapping[str, Any] | None = None
 
 
 class Overviews:
@@ -70,10 +79,13 @@ def read_overview(folder: Path) -> Overview:
     started = str(identity.get("started", ""))[:16].replace("T", " ")
     content: Content | None = None
     best: Mapping[str, Any] = {}
+    kind, check = kind_of(folder), None
     try:
         for name in FILES:
             if (folder / name).is_file() and (folder / name).stat().st_size > MOST_BYTES:
                 return Overview(damaged=f"{name} is larger than {MOST_BYTES >> 20} MB, as none of its kind is", started=started)
+        if (folder / CHECK_RESULT).exists():
+            check = read_check_result(folder)
         if (folder / "result.json").exists():
             geometry = load_result(folder / "result.json")
             found = read_kept_findings(folder)
@@ -81,8 +93,9 @@ def read_overview(folder: Path) -> Overview:
             best = found.get("with_effects", geometry)
     except (MbcacqError, OSError, LookupError, TypeError, ValueError, RecursionError) as error:
         said = str(error) if isinstance(error, MbcacqError) else "a file of it is damaged; write it anew with mbcacq report"
-        return Overview(damaged=said, started=started)
-    return Overview(content, "", best, started, bool(best.get("simulated")))
+        return Overview(damaged=said, started=started, kind=kind)
+    simulated = bool(best.get("simulated") or (check or {}).get("simulated"))
+    return Overview(content, "", best, started, simulated, kind, check)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

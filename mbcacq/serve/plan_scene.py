@@ -14,8 +14,10 @@ from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose, load
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.schema import FieldOfView
+from mbcacq.recording.run_folder.register import CHECK_RESULT
 from mbcacq.recording.run_folder.run_plan import PLAN, fault_of, plan_of_run
 from mbcacq.report.charts.style import PHASES
+from mbcacq.report.sources.check_result import read_check_result
 
 MOST_BYTES = 4 << 20  # of a plan
 NOT_SEEN = "#8a929a"
@@ -40,7 +42,7 @@ class PlanScenes:
         with self._lock:
             kept = self._kept.get(folder)
             if kept is None or kept[0] != status.st_mtime_ns:
-                kept = status.st_mtime_ns, json.dumps(plan_scene(plan_in(folder)), allow_nan=False)
+                kept = status.st_mtime_ns, json.dumps(plan_scene(plan_in(folder), _checked(folder)), allow_nan=False)
                 self._kept[folder] = kept
         return kept[1]
 
@@ -52,8 +54,13 @@ def plan_in(folder: Path) -> LoadedPlan:
     return load(plan_of_run(folder), (folder / PLAN).read_text(encoding="utf-8"))
 
 
-def plan_scene(loaded: LoadedPlan) -> dict[str, Any]:
-    """What the view draws, mm in the base.
+def _checked(folder: Path) -> frozenset[int] | None:
+    """Numbers of the poses of a check; None where the folder is of no judged check: all poses of the plan count."""
+    return frozenset(read_check_result(folder)["poses"]) if (folder / CHECK_RESULT).exists() else None
+
+
+def plan_scene(loaded: LoadedPlan, only: frozenset[int] | None = None) -> dict[str, Any]:
+    """What the view draws, mm in the base. only: numbers of the poses that are drawn; None: all.
 
     Returns
     -------
@@ -64,6 +71,8 @@ def plan_scene(loaded: LoadedPlan) -> dict[str, Any]:
         take.
     """
     poses, lacking = expand_reachable(loaded)
+    if only is not None:
+        poses, lacking = [pose for pose in poses if pose.number in only], []
     cell, field = loaded.cell, loaded.plan.scanner.field_of_view
     centres = {s.id: se3.apply(s.T_base_station, cell.artefact(s.artefact).centres) for s in cell.stations if s.T_base_station is not None}
     points = [xyz for station in centres.values() for xyz in station]
@@ -74,13 +83,16 @@ def plan_scene(loaded: LoadedPlan) -> dict[str, Any]:
         "groups": [{"name": "balls at all stations, as planned", "colour": NOT_SEEN, "points": _rounded(points)}],
         "arm": _rounded(home[:, :3, 3]),
         "boxes": [_rounded(_corners(low, high)) for low, high in boxes if np.max(high - low) <= LARGEST_BOX],
-        "poses": [_pose(loaded, pose, len(poses), field, centres, PHASES[phases.index(pose.phase) % len(PHASES)]) for pose in poses],
+        "poses": [
+            _pose(loaded, pose, f"{k} of {len(poses)}", field, centres, PHASES[phases.index(pose.phase) % len(PHASES)])
+            for k, pose in enumerate(poses, 1)
+        ],
         "unreachable": len(lacking),
     }
 
 
 def _pose(
-    loaded: LoadedPlan, pose: PlannedPose, count: int, field: FieldOfView, centres: dict[str, np.ndarray], colour: str
+    loaded: LoadedPlan, pose: PlannedPose, place: str, field: FieldOfView, centres: dict[str, np.ndarray], colour: str
 ) -> dict[str, Any]:
     frames = loaded.cell.robot.chain.frames(pose.q[None])[0]
     T_base_scanner = frames[-1] @ loaded.cell.T_flange_scanner
@@ -88,7 +100,7 @@ def _pose(
     seen = [xyz for ball, xyz in zip(ids, centres.get(pose.station, ()), strict=False) if ball in pose.balls]
     names = ", ".join(map(str, pose.balls))
     return {
-        "label": f"pose {pose.number} of {count}, counted from 0: step {pose.step_name} ({pose.phase}), station {pose.station}, "
+        "label": f"{place} (pose {pose.number} of the recording): step {pose.step_name} ({pose.phase}), station {pose.station}, "
         f"sees {len(seen)} ball{'' if len(seen) == 1 else 's'}{f' ({names})' if seen else ''}",
         "arm": _rounded([*frames[:, :3, 3], T_base_scanner[:3, 3]]),
         "view": _rounded(se3.apply(T_base_scanner, _frustum(field))),

@@ -49,6 +49,9 @@ def serve(root: Path, port: int = PORT, began: Callable[[str], None] = lambda ad
     except ImportError as error:
         raise ConfigError(f"{MISSING} ({error})") from None
     from mbcacq.serve.application import create_application
+    from mbcacq.serve.run_list import find_runs
+
+    find_runs(root)  # a wrong folder is said before a port that is taken
 
     with _listening(port) as listener:
         port = listener.getsockname()[1]

@@ -25,6 +25,7 @@ from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import fields_as_json
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.recording.run_folder.latest import mark_latest
+from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
@@ -111,6 +112,8 @@ class Acquisition:
         The targets, where a calibrated arm steers.
     weighed : WeighedPoses or None
         Knowledge of an investigation before these poses.
+    kind : RunKind
+        What is recorded.
     """
 
     loaded: LoadedPlan
@@ -124,6 +127,7 @@ class Acquisition:
     simulated: bool = False
     corrected: CorrectedTargets | None = None
     weighed: WeighedPoses | None = None
+    kind: RunKind = RunKind.RUN
 
     def sweep(self) -> Swept:
         """The box that the arm will sweep, and its largest speed."""
@@ -154,14 +158,14 @@ class Acquisition:
         from mbcacq.spheres import SphereOptions, find_spheres
 
         def gate(q: np.ndarray) -> None:
-            mark_latest(self.folder)  # not before every device answered
+            mark_latest(self.folder, self.kind)  # not before every device answered
             if self.loaded.plan.robot.follow is None:  # else nothing is moved from there
                 check_start(self.loaded, q)
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
         steered = None if self.corrected is None else fields_as_json(self.corrected)
-        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, steered, self.loaded.grown_from)
+        plan_files = plan_files_text(self.loaded.files, self.cell, self.kind, self.loaded.path, steered, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
         with (
             closing(

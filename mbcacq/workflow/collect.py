@@ -391,13 +391,14 @@ def _record(paired: PairedClouds, folder: Path, part: int, done: frozenset[int],
     from mbcacq.recording.run_folder.journal import Journal
     from mbcacq.recording.run_folder.latest import mark_latest
     from mbcacq.recording.run_folder.recovery import WHOLE
+    from mbcacq.recording.run_folder.register import RunKind
     from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
 
     session, collected = paired.session, paired.poses
     loaded = session.loaded
     (folder / WHOLE).unlink(missing_ok=True)
     simulated = any(says_simulated(path) for here in collected for path in here.clouds[:1])
-    plan_files = plan_files_text(loaded.files, CELL)
+    plan_files = plan_files_text(loaded.files, CELL, RunKind.COLLECTED)
     keep_plan(folder, loaded.text, plan_files)
     mark_latest(folder)
     known = resuming.measured_balls(folder, loaded, done) if done else {}

@@ -41,7 +41,7 @@ class Question:
 def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.workers import cores
+    from mbcacq.diagnosis.executor import cores
 
     motions = as_trajectories([one for one in data if is_trajectory(one) and not isinstance(one, Observations)])
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
@@ -207,7 +207,7 @@ def diagnose_motion(
 def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.workers import cores
+    from mbcacq.diagnosis.executor import cores
 
     refit = partial(fitted_model, observations) if fitted else None
     found = diagnose(

@@ -24,6 +24,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
+from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import named_run_folder, new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
@@ -139,7 +140,7 @@ class CellInvestigation:
             operator.progress("")
             if not self.dry_run:
                 operator.allow(acquisition)
-            acquisition.folder = self.folder
+            acquisition.folder, acquisition.kind = self.folder, RunKind.INVESTIGATION
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             operator.progress("starting the fake cell" if self.dry_run else "")
             known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None

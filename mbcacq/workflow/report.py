@@ -13,6 +13,7 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
+from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
 from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
 
@@ -59,6 +60,12 @@ def write_report(
     if out is None and run is not None and run.is_file():
         refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
+    if run is not None and run.is_dir() and kind_of(run) is RunKind.CHECK and not (run / "result.json").exists():
+        from mbcacq.report import write_check_page
+        from mbcacq.report.sources.check_result import read_check_result
+
+        with write_lock(run, "report"):
+            return write_check_page(read_check_result(run), run / "report.html" if out is None else out)
     with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext(), opened_once():
         return _write(data, run, out, diagnose, progress)
 

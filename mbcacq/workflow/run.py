@@ -16,6 +16,7 @@ from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import Acquisition, new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
@@ -182,6 +183,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         operator.progress("checking every motion between the poses")
         acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
         acquisition.corrected = targets
+        acquisition.kind = _kind(loaded, folder)
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
         operator.progress("")
         if not dry_run:
@@ -199,6 +201,12 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
+
+
+def _kind(loaded: LoadedPlan, resumed: Path | None) -> RunKind:
+    """What is recorded: a resumed run stays what it was, and becomes an extension with the poses of another plan."""
+    kind = RunKind.RUN if resumed is None else kind_of(resumed)
+    return RunKind.EXTENSION if kind is RunKind.RUN and loaded.grown_from is not None else kind
 
 
 def _targets(

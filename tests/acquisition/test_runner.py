@@ -335,3 +335,67 @@ def test_a_motion_at_the_reduced_speed_of_t1_arrives_in_time(world):
         T = loaded.cell.robot.chain.flange(start + np.linspace(0, 1, 400)[:, None] * (target - start)) @ loaded.cell.T_flange_scanner
         path_mm = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum()
         assert path_mm / 250.0 < longest_duration(target - start, limits, arms)
+
+
+class Loaded(JumpingRobot):
+    """An arm whose load somebody changes. loads: in kg, by the number of the pose; ``taken`` during its exposures."""
+
+    def __init__(self, loads):
+        super().__init__()
+        self.loads, self.load, self.critical = loads, 2.3, True
+
+    def facts(self):
+        return (devices.Fact("load", self.load, "kg", 0.1, self.critical),)
+
+    def move_to(self, q, limits):
+        super().move_to(q, limits)
+        self.load = self.loads.get(round(q[0] / 0.1) - 1, self.load)
+
+
+class LoadingFinder(Finder):
+    """The load changes while the exposures of a pose are looked at, and is set back before they end."""
+
+    def __init__(self, robot, call):
+        super().__init__()
+        self.robot, self.call = robot, call
+
+    def __call__(self, *args, **given):
+        found = super().__call__(*args, **given)
+        if self.calls == self.call:
+            self.robot.load = 7.0
+        return found
+
+
+def test_a_pose_under_another_load_is_left_out_and_both_values_are_recorded(world):
+    """Between poses 0 and 1 the load is set to 7 kg, between 1 and 2 back."""
+    runner, seen, _ = make(world, robot=Loaded({1: 7.0, 2: 2.35}))
+    runner.run()
+    assert [e.pose for e in seen.of(events.PoseDone)] == [0, 2, 3]
+    changes = [(e.role, e.name, e.before, e.now) for e in seen.of(events.FactChanged)]
+    assert changes == [("robot", "load", "2.3 kg", "7 kg"), ("robot", "load", "7 kg", "2.35 kg")]
+    assert ["pose 1 (s): the robot reported load 7 kg, but 2.3 kg when the run began, pose left out"] == [
+        e.text for e in seen.of(events.Gap)
+    ]
+    assert [e.facts["robot load"] for e in seen.of(events.PoseDone)] == ["2.3 kg", "2.35 kg", "2.35 kg"]
+
+
+def test_a_load_that_changes_during_the_exposures_spoils_that_pose(world):
+    robot = Loaded({2: 2.3})
+    runner, seen, _ = make(world, robot=robot, finder=LoadingFinder(robot, call=4))
+    runner.run()
+    assert [e.pose for e in seen.of(events.PoseDone)] == [0, 2, 3]
+
+
+def test_a_load_that_stays_another_one_ends_the_run_with_both_values(world):
+    runner, _, _ = make(world, robot=Loaded({1: 7.0}))
+    with pytest.raises(devices.DeviceFault, match="the robot reported load 7 kg, but 2.3 kg when the run began"):
+        runner.run()
+
+
+def test_a_fact_that_is_not_critical_is_recorded_and_the_pose_is_kept(world):
+    robot = Loaded({1: 7.0})
+    robot.critical = False
+    runner, seen, _ = make(world, robot=robot)
+    runner.run()
+    assert len(seen.of(events.PoseDone)) == 4
+    assert [(e.before, e.now) for e in seen.of(events.FactChanged)] == [("2.3 kg", "7 kg")]

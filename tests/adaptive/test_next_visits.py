@@ -21,7 +21,7 @@ from mbcacq.design.adaptive.places import accepted_places, errors_at
 from mbcacq.design.adaptive.questions import SetComparison
 from mbcacq.design.adaptive.visit_choice import predicted
 from mbcacq.diagnosis.interim import weigh
-from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
+from mbcacq.diagnosis.output.next_measurements import errors_elsewhere
 from mbcacq.model.json_text import fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand, load

@@ -45,7 +45,13 @@ def opcua() -> Iterator[Stand]:
             use,
             {"opcua": proxy},
             wrong=lambda: make(expect_model="M-10iD"),
+            facts={
+                "payload": lambda: fake.report(Mass=9.0),
+                "Model": lambda: fake.report(Model="KR 300 R2700"),
+                "SerialNumber": lambda: fake.report(SerialNumber="4712"),
+            },
             short_limits={"silence_s": 0.5, "connect_timeout_s": 1.0},
         )
         for robot in made:
             robot.close()
+        fake.report(Mass=2.3, Model="KR 10 R1100-2", SerialNumber="4711")

@@ -45,6 +45,11 @@ def ur_rtde() -> Iterator[Stand]:
             at_rest=lambda: not fake.arm.moving,
             short_limits={"silence_s": 0.5, "connect_timeout_s": 1.0},
             output=(3, lambda: bool(fake.outputs >> 3 & 1)),
+            facts={
+                "payload": lambda: fake.inject(payload=7.0),
+                "speed slider": lambda: fake.inject(speed_fraction=0.5),
+                "safety": lambda: fake.inject(safety_bits=3),
+            },
         )
         for robot in made:
             robot.close()

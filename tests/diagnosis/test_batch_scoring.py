@@ -6,8 +6,8 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates, evidence_of_one
+from mbcacq.diagnosis.search.bayes_factor import eigenvalues
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.projected_solve import eigenvalues
 
 
 @pytest.fixture(scope="module")

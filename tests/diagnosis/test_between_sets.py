@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor, over_sizes
 from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged, by_effect, is_changed
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
+from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor, over_sizes
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect import ParameterEstimate, PriorOdds, plain_effect
 from mbcacq.effects.functions import DescribedPart, linear

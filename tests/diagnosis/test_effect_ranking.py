@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from mbcacq.diagnosis import diagnose, model_fit
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.effects import steps
+from mbcacq.effects import over_time
 from mbcacq.estimation.forward_model import Displacements
 
 
@@ -16,7 +16,7 @@ from mbcacq.estimation.forward_model import Displacements
 def test_number_of_independent_moments_gives_the_false_alarm_rate(plan, k, level):
     """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
     setup = model_fit.prepare(plan)
-    hyper = steps.moment(setup.context)
+    hyper = over_time.moment(setup.context)
     n, rng = plan.n_poses, np.random.default_rng(5)
     first = np.arange(n)[None] >= hyper.values[:, None]
     column = first - first.mean(axis=1, keepdims=True)

@@ -10,15 +10,14 @@ from scipy.stats import multivariate_normal, norm
 
 from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.moments import sizes_with, with_others
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import alternatives_of
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.sufficient_poses import coefficient_limit
+from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors, log_set_bayes_factor
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import Member

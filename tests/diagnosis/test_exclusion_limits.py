@@ -9,10 +9,9 @@ import simulated
 
 from mbcacq.diagnosis.output.compensation import Compensation
 from mbcacq.diagnosis.output.exclusion_limits import BandScan, confounders, limits_of, limits_of_bands, parameters_of, with_confounders
-from mbcacq.diagnosis.output.limit_bands import ORDERS, LimitBand, bands
 from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
-from mbcacq.diagnosis.output.upper_limit import directions, largest_ratio, upper_limit
+from mbcacq.diagnosis.output.upper_limit import ORDERS, LimitBand, bands, directions, largest_ratio, upper_limit
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_set import Member

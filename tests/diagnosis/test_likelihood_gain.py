@@ -6,8 +6,8 @@ import simulated
 
 from mbcacq.challenge.likelihood_gain import best_hyper, gain_at, gains
 from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.projected_solve import prior_weight
 
 ORDER = 3.0
 

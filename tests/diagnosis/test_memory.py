@@ -13,7 +13,7 @@ GNU = sys.platform.startswith("linux") and hasattr(ctypes.CDLL(None), "gnu_get_l
 IN_ITS_OWN_PROCESS = """
 import resource
 import numpy as np
-from mbcacq.diagnosis.memory import freed_memory_kept
+from mbcacq.diagnosis.executor import freed_memory_kept
 
 def page_faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

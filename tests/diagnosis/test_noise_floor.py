@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.effect_found import EffectFound, trend
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
 from mbcacq.diagnosis.result import Diagnosis, ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.effects.trend import trend
 from mbcacq.model.json_text import from_fields
 
 

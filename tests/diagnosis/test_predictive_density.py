@@ -9,8 +9,7 @@ from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
-from mbcacq.diagnosis.validation.shared_products import SharedProducts
+from mbcacq.diagnosis.validation.predictive_score import SharedProducts, with_estimated_prior
 from mbcacq.estimation.posterior import Posterior
 from mbcacq.estimation.whitened_columns import ColumnProducts
 

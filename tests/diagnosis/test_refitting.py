@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mbcacq.diagnosis.diagnose import Refitting
-from mbcacq.diagnosis.workers import WorkerPool
+from mbcacq.diagnosis.executor import Refitting, WorkerPool
 
 
 def model(*keys: str) -> SimpleNamespace:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.search.scanned_functions import AngleNodes, Harmonics, PoseFunctions, angle_of_harmonics
+from mbcacq.diagnosis.search.effect_columns import AngleNodes, Harmonics, PoseFunctions, angle_of_harmonics
 from mbcacq.effects.functions import cosine, linear, scaled, sine
 
 

@@ -7,7 +7,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates

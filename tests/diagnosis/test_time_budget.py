@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import time_budget
+from mbcacq.diagnosis import executor
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.time_budget import TimeBudget
+from mbcacq.diagnosis.executor import TimeBudget
 from mbcacq.estimation.forward_model import Displacements
 
 
@@ -28,7 +28,7 @@ class Clock:
 
 
 def with_clock(monkeypatch, reads, data, minutes=10.0):
-    monkeypatch.setattr(time_budget, "time", Clock(reads))
+    monkeypatch.setattr(executor, "time", Clock(reads))
     return diagnose(data, minutes=minutes, folds=2)
 
 

@@ -12,8 +12,8 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.validation import cross_validation
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
 
 

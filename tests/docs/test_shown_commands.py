@@ -3,13 +3,14 @@
 Commands that would move a real arm or take minutes stand in ``text`` blocks or in the running text.
 """
 
+import ast
 import re
 
 import click
 import pytest
-from doc_pages import pages
+from doc_pages import ROOT, pages
 
-from mbcacq.cli.app import app
+from mbcacq.cli.app import COMMANDS, app
 
 BLOCK = re.compile(r"^```text\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`(mbcacq [a-z][^`\n]*)`")
@@ -38,7 +39,10 @@ def faults(command):
             names = {name for parameter in found.params for name in (*parameter.opts, *parameter.secondary_opts)} | {"--help", "-h"}
         elif word.startswith("--") and word.partition("=")[0].rstrip(",.;:)") not in names | {"--version", "--debug"}:
             return [word]
-    return []
+    given = set(command.split())
+    pasted = isinstance(found, click.Command) and re.search(rf" {found.name} [^ a-z-]*[A-Z./]", command)  # not its name in a sentence alone
+    needed = [p for p in found.params if isinstance(p, click.Option) and p.required] if pasted else []
+    return [p.opts[0] for p in needed if not given & set(p.opts)]
 
 
 @pytest.mark.parametrize("page", sorted({name for name, _ in SHOWN}))
@@ -51,4 +55,35 @@ def test_commands_are_found_in_blocks_and_in_the_text():
     assert list(commands(text)) == ["mbcacq check runs/latest    my.yaml --arm", "mbcacq data check X --nonsense"]
     assert faults("mbcacq check a b --arms") == ["--arms"]
     assert faults("mbcacq chek a") == ["chek"]
-    assert faults("mbcacq plan design PLAN --order") == []
+    assert faults("mbcacq controller-files PLAN") == ["--out"]
+    assert faults("mbcacq controller-files") == []  # the name alone stands for the command
+
+
+SOURCES = [path for room in ("mbcacq", "drivers", "fakes") for path in sorted((ROOT / room).rglob("*.py")) if ".venv" not in path.parts]
+SAID = re.compile(r"mbcacq ((?:[a-z]+(?:-[a-z]+)*)(?: [-\w./]+)*)")
+
+
+def proposed(path):
+    """The commands in the sentences that a module can print, and those that it builds; X stands for what is known only then."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docstrings = {
+        id(n.body[0].value)
+        for n in ast.walk(tree)
+        if hasattr(n, "body") and isinstance(n.body, list) and n.body and isinstance(n.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "command_line":
+            yield "mbcacq " + " ".join(str(a.value) if isinstance(a, ast.Constant) else "X" for a in node.args)
+        elif isinstance(node, ast.JoinedStr):
+            text = "".join(str(v.value) if isinstance(v, ast.Constant) else "X" for v in node.values)
+            yield from (found[0] for found in SAID.finditer(text))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+            yield from (found[0] for found in SAID.finditer(node.value))
+
+
+@pytest.mark.parametrize("room", sorted({str(path.relative_to(ROOT).parent) for path in SOURCES}))
+def test_the_commands_that_a_sentence_proposes_exist_with_their_options(room):
+    here = [path for path in SOURCES if str(path.relative_to(ROOT).parent) == room]
+    names = {*COMMANDS}
+    said = {(path.name, command) for path in here for command in proposed(path) if command.split()[1] in names}
+    assert {f"{name}: {command}": wrong for name, command in sorted(said) if (wrong := faults(command))} == {}

@@ -9,11 +9,10 @@ from test_diagnose_trajectories import recording, torque
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.diagnose import explain_trajectories
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
-from mbcacq.diagnosis.motion.fit import fit_selected
+from mbcacq.diagnosis.motion.fit import fit_selected, with_load
 from mbcacq.diagnosis.motion.load_error import load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.signals import prepare
-from mbcacq.diagnosis.motion.transmitted_torque import with_load
 
 SOFT, SHAPE_NM = 2e-5, 1.0  # rad/(N m); size of the error of a load
 

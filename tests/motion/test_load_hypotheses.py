@@ -12,7 +12,7 @@ from mbcacq.diagnosis.motion.assemble import assemble
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import fit_selected
-from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
+from mbcacq.diagnosis.motion.load_error import load_alternatives
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.geometry.dynamics import nominal_parameters, regressor

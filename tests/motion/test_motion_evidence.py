@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import multivariate_normal
 from test_diagnose_trajectories import recording
 
-from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.motion import diagnose
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
@@ -16,6 +15,7 @@ from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor
 
 
 def torque_model(*trajectories):

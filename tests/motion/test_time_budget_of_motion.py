@@ -2,7 +2,7 @@
 
 from test_diagnose_trajectories import recording
 
-from mbcacq.diagnosis import time_budget
+from mbcacq.diagnosis import executor
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 
 
@@ -17,7 +17,7 @@ class NoTime:
 
 
 def test_motion_that_is_out_of_time_is_not_decided(monkeypatch):
-    monkeypatch.setattr(time_budget, "time", NoTime())
+    monkeypatch.setattr(executor, "time", NoTime())
 
     found = diagnose_trajectories([recording(1, coulomb=5.0)], cross_validation=False, minutes=10.0)
 

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import EvidencePoint, Hypothesis, SetPrior, estimated, first_order, key_of, under
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 
 LEAST_LOG_E_VALUE = float(np.log(OPTIONS.least_e_value))  # above which there is an effect, at any look at a recording that grows
 

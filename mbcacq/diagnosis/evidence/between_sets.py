@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mbcacq.diagnosis.evidence.bayes_factor import over_sizes
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, reported_hypothesis
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import over_sizes
 from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters, label_of

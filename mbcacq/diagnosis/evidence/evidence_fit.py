@@ -1,4 +1,9 @@
-"""The diagnosis of one recording by evidence: search, outliers with the best set in place, linearisation anew, search again."""
+"""The diagnosis of one recording by evidence: search, outliers with the best set in place, linearisation anew, search again.
+
+A centre is normal about its prediction, or with a small probability anywhere within a broad normal distribution. So hypotheses with
+different outliers can be compared: every outlier costs the log of that probability density. A confident name must also be better than
+the effects that were not tried (``with_untried_rivals``).
+"""
 
 from __future__ import annotations
 
@@ -9,17 +14,38 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
-from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
+from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, solution, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
 from mbcacq.diagnosis.evidence.pose_search import PoseSearch
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.untried import UntriedEffect, untried
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
+
+
+def log_density_of_outlier(linear: LinearProblem) -> float:
+    """Log prior probability of an outlier times its density, without the power of 2 pi that every centre has."""
+    size = np.log(OPTIONS.outlier_mm) * 3 + (np.log(OPTIONS.outlier_rad) * 3 if linear.width == 6 else 0.0)
+    return float(np.log(OPTIONS.outlier_prior) - size)
+
+
+def kept_centres(hypothesis: Hypothesis) -> np.ndarray:
+    """(M,) bool of the centres that are more probable as measurements than as outliers, by the noise of the instrument and the joints."""
+    point = hypothesis.point
+    linear, noise = point.linear, point.projected.noise
+    _, residual = solution(hypothesis)
+    J = linear.rows.unpad(linear.joint * linear.rows.joint_sigma(noise))
+    S = J @ np.swapaxes(J, 1, 2)
+    S[:, np.arange(linear.width), np.arange(linear.width)] += linear.rows.row_sigma(noise) ** 2
+    square = np.einsum("mr,mr->m", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
+    log_density = -0.5 * (square + np.linalg.slogdet(S)[1])
+    return log_density > log_density_of_outlier(linear)
 
 
 @dataclass(frozen=True)
@@ -113,3 +139,46 @@ def log_with_outliers(members: Sequence[Member], point: NoisePoint, log_prior: f
     """Log posterior of a set, the centres that its point leaves out being outliers."""
     outliers = float(np.sum(~point.linear.keep))
     return estimated(members, point, log_prior).log_posterior + log_density_of_outlier(point.linear) * outliers
+
+
+def with_untried_rivals(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceFit:
+    """The fit with sets in which what was not tried stands in the place of every effect at its location, as probable beforehand as the
+    effect of the catalogue that it stands for.
+    """
+    if not fit.significant:
+        return fit
+    rivals = untried(problem.context, problem.candidates)
+    locations = len(problem.design_blocks.locations)
+    prior, known = (
+        SetPrior.of(problem.candidates, locations, [g.candidate.label for g in problem.given]),
+        {h.key: h for h in fit.hypotheses},
+    )
+    for base in {h.key: h for h in (fit.best, reported_hypothesis(fit))}.values():
+        for rival in rivals:
+            instead = replaced(base, rival, prior)
+            if instead is not None:
+                known.setdefault(instead.key, instead)
+    return replace(fit, hypotheses=tuple(sorted(known.values(), key=lambda h: -h.log_posterior)))
+
+
+def replaced(base: Hypothesis, rival: UntriedEffect, prior: SetPrior) -> Hypothesis | None:
+    """The set with the rival in the place of all that it has at that location; None where it has nothing there, or nothing but what the
+    rival stands for or is.
+    """
+    rest = tuple(m for m in base.members if m.candidate.where != rival.candidate.where)
+    here = {m.candidate.name for m in base.members if m.candidate.where == rival.candidate.where}
+    if here <= {rival.name, UNKNOWN}:
+        return None
+    return estimated((*rest, Member(rival.candidate, None)), base.point, log_prior(rest, rival, prior))
+
+
+def log_prior(rest: Sequence[Member], rival: UntriedEffect, prior: SetPrior) -> float:
+    """Log posterior of the set with the effect that the rival stands for."""
+    named = replace(rival.candidate, name=rival.name)
+    return prior.log_probability_of_set([*(m.candidate for m in rest), named])
+
+
+def stands_for_untried(problem: DiagnosisProblem, hypothesis: Hypothesis) -> list[UntriedEffect]:
+    """The effects of a set that stand for what was not tried."""
+    known = {rival.candidate.key: rival for rival in untried(problem.context, problem.candidates)}
+    return [known[m.candidate.key] for m in hypothesis.members if m.candidate.name == UNKNOWN and m.candidate.key in known]

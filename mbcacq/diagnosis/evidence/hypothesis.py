@@ -13,8 +13,8 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.search.effect_set import Member, slices_of
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric import gaussian_process, locations
-from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
+from mbcacq.diagnosis.nonparametric import gaussian_process
+from mbcacq.diagnosis.nonparametric.basis_functions import locations_of_arm
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, unmodelled_candidate
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence, without_rounding
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import relative_sizes
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
@@ -54,7 +55,7 @@ class UnmodelledEffects:
         what is not looked at is as if it had no evidence.
         """
         context, at = self.design_blocks.context, member.candidate.where[0]
-        location = {one.name: one for one in locations.of_arm(context)}.get(at)
+        location = {one.name: one for one in locations_of_arm(context)}.get(at)
         possible = gaussian_process.processes(context, location, member.candidate.depends_on) if location else []
         if location is None or not possible:
             return None

@@ -12,8 +12,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from mbcacq.diagnosis.formulas.options import OPTIONS
-from mbcacq.diagnosis.nonparametric.locations import Location
+from mbcacq.diagnosis.nonparametric.basis_functions import Location
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.effects import functions
 from mbcacq.effects.context import Context
@@ -22,6 +21,23 @@ from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import is_angle
 from mbcacq.effects.functions import Column, Product, cosine, linear, of, sine
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormulaOptions:
+    """Dictionary of formulas and effort of their search; ``benchmarks/formulas.md`` measures all of it together."""
+
+    least_range: float = 0.02  # of a covariate, in its unit (rad, s, K, N m, mm): one that varies less is a constant with noise
+    product_orders: int = 2  # periods a turn in a product with something else
+    fading: tuple[float, ...] = (0.08, 0.2, 0.5)  # time constants, in durations of the recording
+    most_terms: int = 3  # of a formula
+    proposed: int = 3  # formulas that are reported
+    scatters: float = 2.0  # standard deviations of the difference of squares, up to which a formula predicts as well as the smooth model
+    most_searches: float = 0.5  # share of the searches without a part of the data, more than which must find a formula again
+
+
+OPTIONS = FormulaOptions()
+
 
 HOUR = 3600.0  # s
 FIELD = "xyz"

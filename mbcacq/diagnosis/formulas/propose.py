@@ -14,11 +14,10 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.formulas.options import OPTIONS
+from mbcacq.diagnosis.formulas.dictionary import OPTIONS
 from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, candidate, described, different
-from mbcacq.diagnosis.nonparametric import locations
-from mbcacq.diagnosis.nonparametric.locations import Location
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
+from mbcacq.diagnosis.nonparametric.basis_functions import Location, locations_of_arm, scanner_location
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
 from mbcacq.diagnosis.result import Proposal
@@ -162,9 +161,9 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     """Where the unmodelled effects are, where something acts alike (the joint behind a link too, which it can turn as well), and where else
     the evidence does not exclude them. A ball or a station has no covariates of its own.
     """
-    known = {location.name: location for location in locations.of_arm(context)}
+    known = {location.name: location for location in locations_of_arm(context)}
     if context.scanner_on_flange:
-        known["scanner"] = locations.scanner()
+        known["scanner"] = scanner_location()
     found: dict[str, Location] = {}
     for effect in effects:
         other = [w for a in effect.alternatives if a.name == UNKNOWN and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]

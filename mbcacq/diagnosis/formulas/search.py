@@ -16,12 +16,10 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, first_or
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import relative_to_best_determined
 from mbcacq.diagnosis.formulas import dictionary
-from mbcacq.diagnosis.formulas.dictionary import DictionaryEntry
-from mbcacq.diagnosis.formulas.options import OPTIONS
-from mbcacq.diagnosis.nonparametric.basis_functions import Shape
+from mbcacq.diagnosis.formulas.dictionary import OPTIONS, DictionaryEntry
+from mbcacq.diagnosis.nonparametric.basis_functions import Location, Shape
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
-from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.context import Context

@@ -22,18 +22,21 @@ from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged
 from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, ComparedSet, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
 from mbcacq.diagnosis.given_effects import StatedParameters
-from mbcacq.diagnosis.motion.agreement import DecidedPair, ParameterAgreement, distance_of, named_side
 from mbcacq.diagnosis.motion.joint_sets import (
+    DecidedPair,
     EvidenceSets,
     JointEvidence,
     JointSet,
+    ParameterAgreement,
     StatedEffect,
+    distance_of,
     joint_evidence,
     log_odds_of,
+    named_side,
     not_excluded,
     paired,
 )
-from mbcacq.diagnosis.motion.load_hypotheses import ARM
+from mbcacq.diagnosis.motion.load_error import ARM
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text

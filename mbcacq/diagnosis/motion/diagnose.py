@@ -9,22 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.findings import OUT_OF_TIME
 from mbcacq.diagnosis.motion.assemble import assemble, checked_channels, cut_short
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
-from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
+from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected, motion_series, with_load
 from mbcacq.diagnosis.motion.motion_model import MotionModel
+from mbcacq.diagnosis.motion.normal_store import Part, held_out_parts
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionCheck, MotionDiagnosis
-from mbcacq.diagnosis.motion.segments import Part, held_out_parts
-from mbcacq.diagnosis.motion.series import motion_series
-from mbcacq.diagnosis.motion.signals import prepare
-from mbcacq.diagnosis.motion.torque_constants import with_torque
-from mbcacq.diagnosis.motion.transmitted_torque import with_load
+from mbcacq.diagnosis.motion.signals import prepare, with_torque
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError

@@ -11,8 +11,8 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
 from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate

@@ -15,6 +15,7 @@ from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
+from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized, that_show
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
@@ -22,7 +23,6 @@ from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.load_error import follow_load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 

@@ -1,30 +1,37 @@
-"""The selected effects fitted to all data: parameters with uncertainty, continuous hyper-parameters among them, and the residuals."""
+"""The selected effects fitted to all data: parameters with uncertainty, continuous hyper-parameters among them.
+
+The residuals, the channels over time, and the torque that passes the gears follow.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
-from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
 from mbcacq.diagnosis.motion.evidence_summary import coefficients
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
-from mbcacq.diagnosis.motion.load_error import load_error
-from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
+from mbcacq.diagnosis.motion.load_error import load_alternatives, load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
+from mbcacq.diagnosis.motion.normal_store import shift_difference
 from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.motion.result import ChannelFit
 from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate, Parameters, joined_parameters
-from mbcacq.effects.motion_effect import ChannelGroup, MotionRows
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
+from mbcacq.model.channel_series import ChannelSeries, MotionSeries
+from mbcacq.model.trajectory import Trajectory
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 
@@ -244,3 +251,82 @@ def _delayed(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:
     return [
         [-shift_difference(signals[k][:, j], run.step_s, delay) for k, run in enumerate(model.runs)] for j in range(len(model.group.joints))
     ]
+
+
+def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
+    """The runs with the torque that passes the gears, joint by joint, and its error.
+
+    Where the torque is explained, that of the arm as it was found, without what acts on the motor side; else the drive's torque, less
+    its friction, which is wrong by a share of itself.
+    """
+    explained = torque.train_after < NUMBERS.explained_chi2_dof * torque.floor**2
+    lost = [e for e in torque.effects if catalogue.declaration(e.candidate.name).motor_side]
+    passed = [e for e in torque.effects if not catalogue.declaration(e.candidate.name).motor_side]
+    out = []
+    for k, run in enumerate(runs):
+        load = available(run.rigid).copy()
+        for j, joint in enumerate(torque.group.joints):
+            if explained[j]:
+                load[:, joint] += torque.links[j][k] + _sum(passed, j, k)
+            else:
+                load[:, joint] = _smooth(available(run.torque)[:, joint] - _sum(lost, j, k), run.step_s)
+        out.append(replace(run, load=load, load_error=_error(torque, explained, k, load)))
+    return tuple(out)
+
+
+def _error(torque: MotionFit, explained: np.ndarray, run: int, load: np.ndarray) -> np.ndarray:
+    """(T, n, r) of the load (T, n) of one run: the errors that explained joints have in common, then one of each other joint."""
+    common = torque.load_error[run]
+    alone = np.flatnonzero(~explained)
+    out = np.zeros((*load.shape, common.shape[2] + len(alone)))
+    for j, joint in enumerate(torque.group.joints):
+        if explained[j]:
+            out[:, joint, : common.shape[2]] = common[:, j]
+    for r, j in enumerate(alone, common.shape[2]):
+        joint = torque.group.joints[j]
+        out[:, joint, r] = NUMBERS.unexplained_load_uncertainty * load[:, joint]
+    return out
+
+
+def _sum(effects: list[FittedEffect], j: int, run: int) -> np.ndarray | float:
+    return sum((e.contributions[j][run] for e in effects), 0.0)
+
+
+def _smooth(load: np.ndarray, step_s: float) -> np.ndarray:
+    window = min(max(2 * int(NUMBERS.load_window_s / step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
+    return np.asarray(savgol_filter(load, window, 2))
+
+
+def motion_series(
+    fits: Sequence[MotionFit], channels: Sequence[ChannelFit], trajectories: Sequence[Trajectory], runs: Sequence[MotionSignals]
+) -> MotionSeries:
+    """Every channel over time, as it was fitted to all data. A joint whose model is refused (``channels``) has none: after is as before."""
+    names = tuple(dict.fromkeys(t.name for t in trajectories))
+    refused = {(c.channel, c.at) for c in channels if c.refused_rms is not None}
+    found = []
+    for fit in fits:
+        unit, scale = ("deg", float(np.degrees(1))) if fit.group.unit == "rad" else (fit.group.unit, 1.0)
+        shown = fit.group.signal if fit.group.name == "tau" else fit.group.mismatch
+        for j, joint in enumerate(fit.group.joints):
+            at = f"A{joint + 1}"
+            kept = fit.residual_before if (fit.group.name, at) in refused else fit.residual_after
+            for k, (trajectory, run) in enumerate(zip(trajectories, runs, strict=True)):
+                measured = shown[k][:, j]
+                before, after = (
+                    scale * np.where(fit.used[j][k], measured - residual[j][k], np.nan) for residual in (fit.residual_before, kept)
+                )
+                time = float(trajectory.time_s[0]) + run.step_s * np.arange(len(measured))
+                number = names.index(trajectory.name)
+                found.append(
+                    ChannelSeries(
+                        channel=fit.group.name,
+                        at=at,
+                        unit=unit,
+                        recording=number,
+                        time_s=time,
+                        measured=scale * measured,
+                        before=before,
+                        after=after,
+                    )
+                )
+    return MotionSeries(trajectories[0].robot.name, names, tuple(found))

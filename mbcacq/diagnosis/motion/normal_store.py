@@ -1,20 +1,87 @@
 """Normal equations of a group of channels, segment by segment in time: any choice of columns is fitted and tested from them alone.
 
 Per joint and segment (half a second of a recording) the products of all columns, and of the mismatch, with each other are kept. The fit on
-some segments and the squared error on others are then small matrix products, however long the recording.
+some segments and the squared error on others are then small matrix products, however long the recording. The segments make
+the folds: what is fitted and what is predicted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.options import NUMBERS, RIDGE
-from mbcacq.diagnosis.motion.segments import segments
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
+
+
+def shift_difference(signal: np.ndarray, step_s: float, delay_s: float) -> np.ndarray:
+    """Change (T,) of an equidistant signal when it is read ``delay_s`` later: what the correction of a late channel adds to its
+    mismatch. Beyond the ends the signal keeps its last value."""
+    if delay_s == 0.0:
+        return np.zeros(len(signal))
+    from scipy.interpolate import CubicSpline  # takes long to import, and a report of poses comes by here
+
+    time = step_s * np.arange(len(signal))
+    return CubicSpline(time, signal)(np.clip(time + delay_s, 0.0, time[-1])) - signal
+
+
+Part = list[tuple[int, slice]]  # stretches of recordings: (number of the run, samples)
+
+
+@dataclass(frozen=True)
+class NormalSegment:
+    """Samples of one run whose normal equations are kept together. fold: to which fold they belong while effects are selected."""
+
+    run: int
+    samples: slice
+    fold: int
+
+
+def held_out_parts(runs: Sequence[MotionSignals]) -> tuple[list[Part], str]:
+    """What is held out in turn: whole trajectories (several at once where there are many), or blocks in time where there is only one.
+
+    The second value names the split, 'trajectory' or 'time block'.
+    """
+    lengths = [len(run.q) for run in runs]
+    if len(lengths) > 1:
+        number = min(len(lengths), NUMBERS.held_out_parts)
+        return [[(k, slice(0, lengths[k])) for k in range(f, len(lengths), number)] for f in range(number)], "trajectory"
+    return [[(0, block)] for block in _blocks(slice(0, lengths[0]), NUMBERS.held_out_parts)], "time block"
+
+
+def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int | None = None) -> tuple[list[NormalSegment], str]:
+    """All segments, and the name of the split. held: number of a part that is left out altogether; learnt: number of the trajectories, the
+    first ones, from which anything is learnt (None: all).
+
+    Folds are the remaining trajectories; of a single one, interleaved blocks.
+    """
+    parts, split = held_out_parts(runs[:learnt])
+    remaining = [part for i, part in enumerate(parts) if i != held]
+    by_trajectory = split == "trajectory" and len(remaining) > 1
+    number = NUMBERS.interleaved_blocks if split == "trajectory" else NUMBERS.interleaved_blocks // NUMBERS.held_out_parts
+    out: list[NormalSegment] = []
+    for fold, part in enumerate(remaining):
+        for run, samples in part:
+            step = runs[run].step_s
+            if by_trajectory:
+                out += [NormalSegment(run, s, fold) for s in _half_seconds(samples, step)]
+                continue
+            for i, block in enumerate(_blocks(samples, number)):
+                out += [NormalSegment(run, s, i % NUMBERS.held_out_parts) for s in _half_seconds(block, step)]
+    return out, split
+
+
+def _half_seconds(samples: slice, step_s: float) -> list[slice]:
+    return _blocks(samples, max(int((samples.stop - samples.start) * step_s / NUMBERS.segment_s), 1))
+
+
+def _blocks(samples: slice, number: int) -> list[slice]:
+    edges = np.linspace(0, samples.stop - samples.start, number + 1).astype(int)
+    return [slice(samples.start + int(a), samples.start + int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
 
 MISMATCH = -1  # the number of the mismatch among the columns of every joint
 

@@ -8,9 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric import basis_functions, locations
-from mbcacq.diagnosis.nonparametric.basis_functions import Basis, Shape
-from mbcacq.diagnosis.nonparametric.locations import Location, components
+from mbcacq.diagnosis.nonparametric import basis_functions
+from mbcacq.diagnosis.nonparametric.basis_functions import Basis, Location, Shape, components
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, StandstillRows
 from mbcacq.effects.effect_term import UNKNOWN
@@ -100,7 +99,7 @@ class DesignBlocks:
         by_pose, by_centre = Basis.of(s), Basis.of(s, per_pose=False)
         common = basis_functions.of_poses(by_pose)
         angles = [shape for i in basis_functions.turning(s) for shape in by_pose.thresholds(f"q{i + 1}")]
-        out = [BlockGroup(at, [*common, *basis_functions.at_location(by_pose, at, angles)]) for at in locations.of_arm(s)]
+        out = [BlockGroup(at, [*common, *basis_functions.at_location(by_pose, at, angles)]) for at in basis_functions.locations_of_arm(s)]
         return out + of_stations(by_pose) + of_scanner(by_centre)
 
     @cached_property
@@ -149,7 +148,7 @@ def of_stations(basis: Basis) -> list[BlockGroup]:
 def of_scanner(basis: Basis) -> list[BlockGroup]:
     """Errors of the measured point by where it is, and when; and each ball of an artefact of several."""
     obs, owner = basis.here.obs, basis.here.obs.cell.ball_artefact
-    out = [BlockGroup(locations.scanner(), basis_functions.of_centres(basis))] if np.ptp(obs.xyz, axis=0).max() > 0 else []
+    out = [BlockGroup(basis_functions.scanner_location(), basis_functions.of_centres(basis))] if np.ptp(obs.xyz, axis=0).max() > 0 else []
     station, shifted = obs.station[obs.pose], list[Shape]()
     for k, ball in enumerate(obs.cell.ball_ids):
         here = obs.ball == k

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors, log_mean
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlock
+from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors, log_mean
 from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring, UnitKey
 
 

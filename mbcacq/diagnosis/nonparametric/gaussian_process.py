@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import basis_functions
-from mbcacq.diagnosis.nonparametric.basis_functions import Shape
-from mbcacq.diagnosis.nonparametric.locations import Location
+from mbcacq.diagnosis.nonparametric.basis_functions import Location, Shape
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import is_angle

@@ -14,8 +14,8 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
+from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects.effect import Candidate, ParameterEstimate
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 

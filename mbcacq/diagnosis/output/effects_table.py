@@ -13,11 +13,10 @@ from scipy.special import chdtrc
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.output.contributions import Contributions
+from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue

@@ -19,21 +19,19 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import NOT_SIZES
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.compensation import Compensation, largest
-from mbcacq.diagnosis.output.errors_elsewhere import errors_of, harmless
-from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, errors_of, harmless
 from mbcacq.diagnosis.output.sufficient_poses import ABSORBED, of_fewest_coefficients
-from mbcacq.diagnosis.output.upper_limit import directions, independent_values, largest_ratio, upper_limit
+from mbcacq.diagnosis.output.upper_limit import LimitBand, alike, bands, directions, independent_values, kept, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.effects import catalogue, steps
+from mbcacq.effects import catalogue, over_time
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
-from mbcacq.effects.trend import NOT_SIZES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +278,7 @@ def holds_for(context: Context, limit: BandLimit) -> ExclusionBand | None:
     ends = [float(values.min()), float(values.max())]
     left_out = list(band.left_out)
     if hyper.kind == MOMENT:
-        ends, left_out = ([float(steps.pose_at(context, v)) for v in some] for some in (ends, left_out))
+        ends, left_out = ([float(over_time.pose_at(context, v)) for v in some] for some in (ends, left_out))
     return ExclusionBand(hyper.name, ends[0], ends[1], tuple(left_out))
 
 

@@ -11,16 +11,15 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.search.bayes_factor import prior_sigma
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.search.projected_solve import prior_sigma
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_angle, key_of, learnt_ranges
-from mbcacq.effects.functions import DescribedPart
-from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
+from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, periods_covered
 from mbcacq.effects.unmodelled import unit_of
 from mbcacq.model.observations import Observations
 

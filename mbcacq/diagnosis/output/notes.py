@@ -22,8 +22,8 @@ from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import FADING, Candidate
+from mbcacq.effects.functions import periods_covered
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations

@@ -14,8 +14,7 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.errors_elsewhere import harmless
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, harmless
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry, ResponseShape
+from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, Alternative, EffectFound, MismatchEntry, ResponseShape
 from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
@@ -14,7 +14,6 @@ from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Pr
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
-from mbcacq.effects.trend import REMOVES_NOTHING
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 

@@ -6,22 +6,106 @@ problem is conditioned on were refitted together with the candidate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import partial
 
 import numpy as np
 
-from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
-from mbcacq.diagnosis.search.effect_columns import candidate_columns, scanned_functions
-from mbcacq.diagnosis.search.projection import ridge_projection
-from mbcacq.diagnosis.search.scanned_functions import ScannedFunctions
+from mbcacq.diagnosis.search.effect_columns import ScannedFunctions, candidate_columns, scanned_functions
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.normal_equations import inverse_of_lower
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
+
+
+def ridge_projection(own: np.ndarray, rows_of: Sequence[slice | np.ndarray], shared: np.ndarray) -> tuple[np.ndarray, float]:
+    """Q (rows, z) with Q Q' = Z (Z'Z + I)^-1 Z', what columns with coefficients of unit prior variance absorb, and log det(Z'Z + I).
+
+    The z columns Z are those of every station, six each, and the g of ``shared`` (rows, g), which all rows share. own: (rows, 6) columns of
+    each row's own station, which vanish at the rows of all others; rows_of: the rows of each station.
+    """
+    first, g = own.shape[1] * len(rows_of), shared.shape[1]
+    Q, beyond, log_det = np.zeros((len(own), first + g)), shared.copy(), 0.0
+    normal = np.zeros((g, g))
+    for j, rows in enumerate(rows_of):
+        inverse, log = _inverse_root(own[rows].T @ own[rows])
+        here = own[rows] @ inverse.T
+        absorbed = here.T @ shared[rows]
+        beyond[rows] -= here @ absorbed
+        # With R the inverse root, I - Q'Q = R R': what remains of the normal matrix is a sum of squares, which no rounding makes negative.
+        held = inverse.T @ absorbed
+        normal += held.T @ held
+        Q[rows, 6 * j : 6 * j + 6] = here
+        log_det += log
+    inverse, log = _inverse_root(normal + beyond.T @ beyond)
+    Q[:, first:] = beyond @ inverse.T
+    return Q, log_det + log
+
+
+def _inverse_root(normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """R (k, k), lower triangular, with R (I + normal) R' = I, and the log determinant of I + normal."""
+    factor = np.linalg.cholesky(normal + np.eye(len(normal)))
+    return inverse_of_lower(factor), 2 * float(np.log(np.diag(factor)).sum())
+
+
+class FixedBlocks:
+    """The candidates whose columns need no scan, each at every value of its hyper-parameter.
+
+    entries: (candidate, value); columns (M, R, K): all of theirs. sizes: of those with k coefficients, which entries (n,), which columns
+    (n, k).
+    """
+
+    def __init__(self, candidates: list[Candidate], linear: LinearProblem):
+        self.entries = [(c, h) for c in candidates if not c.components for h in (c.hyper.values if c.hyper else (None,))]
+        each = [candidate_columns(linear, c, h) for c, h in self.entries]
+        self.columns = np.concatenate(each, axis=2) if each else np.zeros((*linear.residual.shape, 0))
+        widths = np.array([e.shape[2] for e in each], dtype=int)
+        starts = np.cumsum(widths) - widths
+        self.sizes = []
+        for k in np.unique(widths):
+            chosen = np.flatnonzero(widths == k)
+            self.sizes.append((chosen, starts[chosen][:, None] + np.arange(k)))
+
+    @staticmethod
+    def of(candidates: list[Candidate], linear: LinearProblem) -> FixedBlocks:
+        """Made once for a linearisation."""
+        return linear.computed_once(candidate_keys(candidates), lambda: FixedBlocks(candidates, linear))
+
+
+def candidate_keys(candidates: list[Candidate]) -> tuple[str, ...]:
+    return tuple(c.key for c in candidates)
+
+
+@dataclass(frozen=True)
+class BatchScoring:
+    """Under one noise model: whitened columns X (rows, K), and of each size S (n, k, k) and b (n, k), geometry projected out."""
+
+    fixed: FixedBlocks
+    X: np.ndarray
+    blocks: list[tuple[np.ndarray, np.ndarray]]
+
+    @classmethod
+    def of(
+        cls,
+        candidates: list[Candidate],
+        linear: LinearProblem,
+        whiten: CentreWhitening,
+        absorbed_of: Callable[[np.ndarray], np.ndarray],
+        r: np.ndarray,
+    ) -> BatchScoring:
+        """absorbed_of: products (z, k) of whitened columns with the basis of what geometry absorbs; r (rows,): residual beyond it."""
+        fixed = FixedBlocks.of(candidates, linear)
+        X = whiten(fixed.columns)
+        absorbed, b = absorbed_of(X), X.T @ r
+        blocks = []
+        for _, columns in fixed.sizes:
+            own, gone = X.T[columns], absorbed.T[columns]
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
+        return cls(fixed, X, blocks)
+
 
 UnitKey = tuple[str, int, int]  # location, index, component
 MOST_KEPT = 3000  # candidates whose products are kept

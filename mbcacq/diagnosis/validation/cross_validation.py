@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.folds import RepeatedSearch, evaluated_folds
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
-from mbcacq.diagnosis.workers import WorkerPool
 
 
 @dataclass(frozen=True)

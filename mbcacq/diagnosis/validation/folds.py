@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
-from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.validation.shared_products import SharedProducts
-from mbcacq.diagnosis.workers import WorkerPool
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
 from mbcacq.estimation.linear_problem import LinearProblem
 
 Model = tuple[EffectSet, tuple[RandomEffect, ...]]
@@ -33,12 +33,15 @@ class RepeatedSearch:
     models: Callable[[Callable[[int], None]], list[Model]]
 
     @classmethod
-    def begin(cls, problem: DiagnosisProblem, folds: int, pool: WorkerPool, unmodelled: bool) -> RepeatedSearch:
-        """unmodelled: of a long recording, whether there may be anything but effects of the catalogue."""
-        fold, how = split(problem.linear, folds)
+    def begin(cls, problem: DiagnosisProblem, folds: int | None, pool: WorkerPool, unmodelled: bool) -> RepeatedSearch:
+        """folds: None for as many as a recording of so many poses usually has. unmodelled: of a long recording, whether there may be
+        anything but effects of the catalogue.
+        """
+        usual = OPTIONS.folds if problem.linear.obs.n_poses < 2 * OPTIONS.searched_poses else 2
+        fold, how = split(problem.linear, folds or usual)
         left_out = [fold == k for k in range(int(fold.max()) + 1)]
         calls = zip(*((problem, test, unmodelled) for test in left_out), strict=True)
-        models = pool.begin(model_without, *calls, elsewhere=is_long(problem.linear.obs))
+        models = pool.begin(model_without, *calls, elsewhere=problem.in_part)
         return cls(problem=problem, left_out=left_out, how=how, models=models)
 
 
@@ -48,7 +51,7 @@ def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool)
     """
     linear = problem.linear
     model, random = fit_part(problem, linear.keep & ~test[linear.obs.pose], unmodelled)
-    return model, tuple(replace(g, parts=()) for g in random) if is_long(linear.obs) else random
+    return model, tuple(replace(g, parts=()) for g in random) if problem.in_part else random
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def evaluated_folds(full: ModelFit, again: RepeatedSearch, keys: Sequence[str], 
     keys: effects to be left out in turn. searched: gets how many of the searches have ended.
     """
     problem, models = again.problem, again.models(searched)
-    if is_long(problem.linear.obs):
+    if problem.in_part:
         groups = {(g.location, g.depends_on): g for g in groups_everywhere(problem)} if full.random else {}
         alive = ((model, [g for g in random if groups]) for model, random in models)
         models = [(model, tuple(replace(groups[g.location, g.depends_on], sigma=g.sigma) for g in random)) for model, random in alive]

@@ -1,26 +1,55 @@
 """Predictive score of a model: fitted on some centres, evaluated on others, where only the poses of new stations are free.
 
 Squares are of what the fit predicts; chi2 also knows how certain that prediction is. Geometry is never known exactly, and its error is
-common to many centres, so a weak effect shows there first.
+common to many centres, so a weak effect shows there first. Products of columns that several models of a recording share are computed once
+(``SharedProducts``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric.joint_model import JointModel
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
-from mbcacq.effects import steps
+from mbcacq.effects import over_time
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.posterior import Posterior
+from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.estimation.whitened_columns import ColumnProducts
+
+
+def with_estimated_prior(posterior: Posterior, typical: Sequence[np.ndarray], slices: Sequence[slice]) -> Posterior:
+    """With the effects' coefficients, at these slices and of these typical sizes, given the prior size that is most probable by the
+    centres seen (empirical Bayes): what is hardly determined stays near zero.
+    """
+    if not slices:
+        return posterior
+    covariance = posterior.covariance_of(joined(slices))
+    sigma, start = posterior.sigma.copy(), 0
+    for t, p in zip(typical, slices, strict=True):
+        own = slice(start, start + len(t))
+        size = most_probable_size(posterior.solution[p] / t, covariance[own, own] / np.outer(t, t))
+        sigma[p] = np.minimum(sigma[p], size * t)
+        start += len(t)
+    return replace(posterior, sigma=sigma)
+
+
+def most_probable_size(values: np.ndarray, covariance: np.ndarray) -> float:
+    """The size of an effect, among the possible ones, under which its estimated coefficients (k,), in typical sizes, are most probable."""
+
+    def log_density(size: float) -> float:
+        spread = covariance + size**2 * np.eye(len(values))
+        return -0.5 * float(values @ np.linalg.solve(spread, values) + np.linalg.slogdet(spread)[1])
+
+    return max(OPTIONS.sizes, key=log_density)
 
 
 @dataclass(frozen=True)
@@ -84,7 +113,7 @@ class HeldOutPrediction:
         best = self._scored(posterior, self._others.of_columns(index), left)
         for j in chosen:
             candidate, hyper = joint.model.members[j].candidate, joint.model.members[j].hyper
-            for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, self.train):
+            for moment in over_time.indistinguishable_moments(candidate, hyper, linear.obs, self.train):
                 changed = candidate_columns(linear, candidate, moment) - joint.known[:, :, joint.effects[j]]
                 others = self._with_change(joint.effects[j], changed).of_columns(index)
                 best = min(best, self._scored(posterior, others, left - changed @ solution[joint.effects[j]]), key=lambda one: one.chi2)
@@ -134,3 +163,39 @@ def training_score(joint: JointModel) -> tuple[PredictiveScore, np.ndarray]:
     dof = keep.sum() * linear.width - posterior.determined
     r = joint.whiten(residual)
     return PredictiveScore(float(np.sum(residual[keep, :3] ** 2)), int(keep.sum()), float(r @ r), dof), residual
+
+
+class SharedProducts:
+    """Products over each of some parts of the poses. joint: of the fit of all data, in whose linearisation and under whose noise all is;
+    its own products follow.
+
+    Groups at all locations are a hundred times as many columns as effects, and the same without each part of the poses but for their sizes.
+    """
+
+    def __init__(self, joint: JointModel, models: Sequence[tuple[EffectSet, Sequence[RandomEffect]]], left_out: Sequence[np.ndarray]):
+        """models: found without each part; left_out: (P,) bool of each."""
+        self.linear, self.left_out = joint.linear, left_out
+        every = [(joint.model, joint.random), *models]
+        effects = {(m.candidate.key, m.hyper): m for model, _ in every for m in model.members}
+        groups = {id(g.parts): g for _, random in every for g in random}
+        together = JointModel(joint.linear, EffectSet(tuple(effects.values())), tuple(groups.values()), joint.whiten)
+        self._parts = together.columns.products_of_parts(left_out)
+        self._geometry = together.geometry
+        self._own = dict(zip((*effects, *groups), (*together.effects, *together.groups), strict=True))
+        joint.products = self.of(joint, range(len(left_out)))
+
+    def of(self, joint: JointModel, parts: Iterable[int]) -> ColumnProducts:
+        """The products of the columns of one of the models, over some parts."""
+        own = [*((m.candidate.key, m.hyper) for m in joint.model.members), *(id(g.parts) for g in joint.random)]
+        index = np.concatenate([self._geometry, *(np.arange(self._own[key].start, self._own[key].stop) for key in own)])
+        return reduce(add, (self._parts[number].of_columns(index) for number in parts))
+
+    def held_out(self, number: int, model: EffectSet, random: Sequence[RandomEffect], noise: Noise) -> HeldOutPrediction:
+        """The prediction of a part by the model found without it."""
+        keep, test = self.linear.keep, self.left_out[number][self.linear.obs.pose]
+        others = [part for part in range(len(self.left_out)) if part != number]
+
+        def products(joint: JointModel) -> tuple[ColumnProducts, ColumnProducts]:
+            return self.of(joint, others), self.of(joint, [number])
+
+        return HeldOutPrediction(self.linear, keep & ~test, keep & test, model, random, noise, products)

@@ -9,8 +9,7 @@ import numpy as np
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, PeriodicInMotion
 from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, StandstillRows, number
-from mbcacq.effects.functions import DescribedPart, cosine, sine
-from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
+from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, cosine, periods_covered, sine
 
 NAME = "gear_transmission_error"
 DECLARED = Declaration(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.effects import steps
+from mbcacq.effects import over_time
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, StandstillRows, number
@@ -14,12 +14,12 @@ DECLARED = Declaration(acts_in_time=True, challenge=Challenge(number=8))
 
 def candidates(context: Context) -> list[Candidate]:
     """For each joint a step, in rad, at a moment to be found."""
-    hyper = steps.moment(context)
+    hyper = over_time.moment(context)
 
     def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
             return {
-                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank.value), 0.5),
+                f"A{i + 1}.at_pose": number(over_time.pose_at(context, rank.value), 0.5),
                 f"A{i + 1}.step_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0]))),
             }
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.effects import steps
+from mbcacq.effects import over_time
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, vector
@@ -20,7 +20,7 @@ def candidates(context: Context) -> list[Candidate]:
         components = (0, 1, 2, 3, 4, 5)
     if context.obs.n_poses < 12:
         raise Missing("fewer than 12 poses")
-    hyper = steps.moment(context)
+    hyper = over_time.moment(context)
     k = len(components)
 
     def described(h):
@@ -28,7 +28,7 @@ def candidates(context: Context) -> list[Candidate]:
         return [DescribedPart("frame", context.n, c, (ZERO,) * j + (step,) + (ZERO,) * (k - 1 - j)) for j, c in enumerate(components)]
 
     def report(c, v, rank):
-        out = {"at_pose": number(steps.pose_at(context, rank.value), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
+        out = {"at_pose": number(over_time.pose_at(context, rank.value), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
         if k == 6:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from mbcacq.effects import warm_up
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
+from mbcacq.effects.over_time import time_constant, time_constant_std
 
 NAME = "scanner_warmup"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s",), challenge=Challenge(number=13))
@@ -15,10 +15,10 @@ UNCERTAIN_TAU = 2.0  # growth of the variance of the offset, because the time co
 
 def candidates(context: Context) -> list[Candidate]:
     """One candidate: three offsets in mm, and a time constant to be found."""
-    hyper = warm_up.time_constant(context)
+    hyper = time_constant(context)
 
     def report(c, v, tau):
-        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v))}
+        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau.value, time_constant_std(tau.value, c, v))}
 
     def described(tau):
         fade = of("time", "decay", tau)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from mbcacq.effects import warm_up
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, plain_effect
 from mbcacq.effects.functions import DescribedPart, Function, Product, of, scaled
+from mbcacq.effects.over_time import time_constant, time_constant_std
 
 NAME = "thermal_growth"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s", "temperature"), challenge=Challenge(number=9))
@@ -41,7 +41,7 @@ def with_temperature(context: Context, i: int, column: str, temperature: np.ndar
 
 
 def with_warm_up(context: Context, i: int) -> Candidate:
-    along, hyper = direction(context, i), warm_up.time_constant(context)
+    along, hyper = direction(context, i), time_constant(context)
     used = [c for c in range(3) if abs(along[c]) > 1e-6]
 
     def described(tau):
@@ -51,7 +51,7 @@ def with_warm_up(context: Context, i: int) -> Candidate:
     def report(c, v, tau):
         return {
             f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
-            f"link{i + 1}.time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v)),
+            f"link{i + 1}.time_constant_s": number(tau.value, time_constant_std(tau.value, c, v)),
         }
 
     return Candidate(NAME, (f"link{i + 1}",), "time", StandstillRows(described, np.array([0.1])), report, hyper)

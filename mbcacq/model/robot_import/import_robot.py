@@ -10,17 +10,20 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from pydantic import ValidationError
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
 from mbcacq.model import yaml12
+from mbcacq.model.bounds import BOUNDS
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.robot_import.dh_table import read_dh_table, yaml_content
 from mbcacq.model.robot_import.mjcf import read_mjcf
 from mbcacq.model.robot_import.source import ArmSource
 from mbcacq.model.robot_import.ur_calibration import is_ur_calibration, read_ur_calibration
 from mbcacq.model.robot_import.urdf import read_urdf
+from mbcacq.model.yaml_source import name_of
 
 POSTURES = 200  # random ones at which both forward kinematics are compared
 FIRST_BYTES = 100_000  # of a file, within which its first element stands
@@ -130,7 +133,12 @@ def _read(
 
 
 def _refuse_endless(path: Path, source: ArmSource) -> None:
-    """Raises ConfigError for an arm with a length or a mass that no arm has, or one that is no number."""
+    """Raises ConfigError for an arm with a length, mass or joint limit that no arm has, or one that is no number. A limit that is not
+    stated is NaN."""
+    for number, limits in enumerate(np.degrees(source.limits)):
+        if (np.abs(limits) > BOUNDS["joint_angle"].high).any():
+            said = f"joint '{source.joints[number] or number + 1}' has the limits {limits[0]:g} to {limits[1]:g}°"
+            raise ConfigError(f"{path}: {said}; give both as angles, or none where the joint turns without end")
     sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
     for what, values in {**sizes, "axis of a joint": source.direction}.items():
         if not (np.abs(values) <= LARGEST).all():
@@ -208,7 +216,12 @@ def _short(value: float, digits: int = 9) -> str:
 
 def _compared(path: Path, text: str, rows: ChainInFrames, source: ArmSource) -> tuple[float, float]:
     """Largest difference (mm, rad) of the file that is written and its source. Raises ConfigError where they differ."""
-    model = RobotSpec.model_validate(yaml12.load(text)).model()
+    try:
+        model = RobotSpec.model_validate(yaml12.load(text)).model()
+    except ValidationError as error:
+        first = error.errors()[0]
+        what, value = name_of(first["loc"]), first["input"]
+        raise ConfigError(f"{path}: makes a robot whose {what} is {value}: {first['msg'].lower()}; correct the file") from None
     limits = np.nan_to_num(source.limits, nan=np.pi)
     q = np.random.default_rng(0).uniform(np.minimum(*limits.T), np.maximum(*limits.T), (POSTURES, model.n))
     made, given = rows.T_given_base @ model.chain.flange(q) @ rows.T_flange_given, source.forward(q)

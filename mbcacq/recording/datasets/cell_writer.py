@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import yaml
 
 from mbcacq.files import angles
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
-from mbcacq.model.yaml12 import Yaml12Dumper
+from mbcacq.model.yaml12 import Flow, FlowList, dump
 
 FORMAT = "mbcacq-observation-set/1"
 
@@ -30,7 +29,7 @@ def cell_to_yaml(cell: Cell) -> str:
         scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
     if cell.room_temperature_C is not None:
-        data["room_temperature_C"] = _FlowList(float(T) for T in cell.room_temperature_C)
+        data["room_temperature_C"] = FlowList(float(T) for T in cell.room_temperature_C)
     return _dump(data)
 
 
@@ -45,7 +44,7 @@ def _simulated(simulated: bool) -> dict[str, Any]:
 
 
 def _dump(data: dict[str, Any]) -> str:
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=160)
+    return dump(data, allow_unicode=True, width=160)
 
 
 def _arm(robot: RobotModel) -> dict[str, Any]:
@@ -82,8 +81,8 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         data["repeatability_mm"] = float(robot.repeatability_mm)
     if robot.balancer is not None:
         data["balancer"] = robot.balancer
-    data["links"] = [_Flow({key: values[i] for key, values in columns.items()}) for i in range(n)]
-    data["payload"] = _Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
+    data["links"] = [Flow({key: values[i] for key, values in columns.items()}) for i in range(n)]
+    data["payload"] = Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
     data["base_to_gravity"] = _list(robot.gravity)
     return data
 
@@ -96,11 +95,11 @@ def _artefact(artefact: Artefact) -> dict[str, Any]:
     if not artefact.certified:
         data["certified"] = False
     if (known := artefact.known_length) is not None:
-        data["known_length"] = _Flow(
-            {"balls": _FlowList(known.balls), "length_mm": float(known.length_mm), "uncertainty_mm": float(known.uncertainty_mm)}
+        data["known_length"] = Flow(
+            {"balls": FlowList(known.balls), "length_mm": float(known.length_mm), "uncertainty_mm": float(known.uncertainty_mm)}
         )
     data["balls"] = [
-        _Flow({"id": int(ball), **({} if np.isnan(centre).any() else {"centre_mm": _list(centre)}), "diameter_mm": float(diameter)})
+        Flow({"id": int(ball), **({} if np.isnan(centre).any() else {"centre_mm": _list(centre)}), "diameter_mm": float(diameter)})
         for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
     ]
     return data
@@ -110,7 +109,7 @@ def _station(station: Station) -> dict[str, Any]:
     name: str | int = station.id
     if name.lstrip("-").isdecimal() and str(int(name)) == name:
         name = int(name)
-    data = _Flow({"id": name, "artefact": station.artefact})
+    data = Flow({"id": name, "artefact": station.artefact})
     if station.T_base_station is not None:
         data["pose_in_base"] = _frame(station.T_base_station)
         if station.sigma_mm is not None:
@@ -123,24 +122,8 @@ def _frame(T: np.ndarray) -> dict[str, Any]:
 
 
 def _list(values: np.ndarray) -> list[float]:
-    return _FlowList(np.asarray(values, dtype=float).tolist())
+    return FlowList(np.asarray(values, dtype=float).tolist())
 
 
 def _degrees(values: np.ndarray) -> list[float]:
-    return _FlowList(angles.degrees(values)[0].tolist())
-
-
-class _Flow(dict):
-    """A mapping written on one line."""
-
-
-class _FlowList(list):
-    """A list written on one line."""
-
-
-class _Dumper(Yaml12Dumper):
-    pass
-
-
-_Dumper.add_representer(_Flow, lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True))
-_Dumper.add_representer(_FlowList, lambda dumper, data: dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True))
+    return FlowList(angles.degrees(values)[0].tolist())

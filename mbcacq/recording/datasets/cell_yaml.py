@@ -11,10 +11,10 @@ import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
+from mbcacq.model import yaml12
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import CellSpec, RobotSpec
 from mbcacq.model.shipped import named_file
-from mbcacq.model.yaml12 import Yaml12Loader
 from mbcacq.model.yaml_source import LARGE, Path_, YamlFile, parse, read
 from mbcacq.recording.datasets.cell_writer import cell_to_yaml, robot_to_yaml
 from mbcacq.recording.datasets.open_format import validate
@@ -37,7 +37,7 @@ def _with_its_robot(file: YamlFile) -> str:
     named, text = file.data.get("robot"), file.text
     if not isinstance(named, str):
         return text
-    root: Any = yaml.compose(text, Yaml12Loader)
+    root: Any = yaml.compose(text, yaml12.Yaml12Loader)
     value = next(value for key, value in root.value if key.value == "robot")
     beside = file.path.parent / named
     try:
@@ -45,7 +45,7 @@ def _with_its_robot(file: YamlFile) -> str:
     except ConfigError as error:
         raise file.error(("robot",), f"robot: {error}") from None
     validate(RobotSpec, robot)
-    whole = yaml.safe_dump(robot.data, sort_keys=False, default_flow_style=True, width=1 << 30, allow_unicode=True).strip()
+    whole = yaml12.dump(robot.data, default_flow_style=True, width=1 << 30, allow_unicode=True).strip()
     lines = text.splitlines(keepends=True)
     begin, end = (sum(len(line) for line in lines[: mark.line]) + mark.column for mark in (value.start_mark, value.end_mark))
     return text[:begin] + whole + text[end:]

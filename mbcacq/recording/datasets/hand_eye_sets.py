@@ -17,6 +17,7 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
+from mbcacq.model import yaml12
 from mbcacq.recording.datasets.columns import names_poses
 from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.line_profiles import read_profiles
@@ -92,7 +93,7 @@ def _yaml(path: Path) -> Any:
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; split it")
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml12.load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not a YAML file ({str(error).splitlines()[0]})") from None
 

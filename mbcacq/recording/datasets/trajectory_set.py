@@ -13,8 +13,9 @@ from mbcacq.errors import ConfigError
 from mbcacq.files import angles
 from mbcacq.files.atomic_write import finish_set, write_files
 from mbcacq.files.table import Table, read_table
+from mbcacq.model.bounds import Direction, GearRatio, Repeatability
 from mbcacq.model.cell import RobotModel
-from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
+from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict
 from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.model.yaml_source import LARGE, read
@@ -32,10 +33,10 @@ class _RobotUse(Strict):
     name: str = ""
     model: str | None = None
     links: tuple[LinkSpec, ...] | None = Field(default=None, min_length=2)
-    gear_ratio: tuple[float, ...] | None = None
+    gear_ratio: tuple[GearRatio, ...] | None = None
     payload: PayloadSpec | None = None
-    base_to_gravity: Vector | None = None
-    repeatability_mm: float | None = None
+    base_to_gravity: Direction | None = None
+    repeatability_mm: Repeatability | None = None
 
 
 class _TrajectorySpec(Strict):

@@ -11,8 +11,10 @@ import pyarrow as pa
 
 from mbcacq.errors import MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import FILE as CHECKSUMS
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
+MAGIC = b"RRF"  # first bytes of every .rrd file
 NOT_OURS = "holds no recording of mbcacq"  # in the sentence about a file that can be read, and was written by another program
 
 
@@ -60,6 +62,15 @@ class LibraryReader:
             yield batch
 
 
+def _begins_as_recording(path: Path) -> bool:
+    """Whether a file begins as a recording, or lies where one was written and was damaged since."""
+    try:
+        with path.open("rb") as file:
+            return file.read(3) == MAGIC or (path.parent / CHECKSUMS).exists()
+    except OSError:
+        return True
+
+
 class _named_errors:
     """Turns what the rerun library raises into one sentence."""
 
@@ -74,6 +85,8 @@ class _named_errors:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._warnings.__exit__(kind, error, trace)
         if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
+            if not _begins_as_recording(self._path):
+                raise RecordingError(f"{self._path} is no recording: it does not begin as a .rrd file does; give another file") from None
             raise RecordingError(
                 f"{self._path} is torn or is no .rrd file ({(str(error).splitlines() or [type(error).__name__])[0]}); "
                 f"make what is left of it readable: mbcacq recover {self._path}"

@@ -62,6 +62,7 @@ def observation_rows(event: events.PoseDone, part: int, time_s: float) -> tuple[
         "n_exposures": event.n_exposures,
         "current": None if event.current is None else _float(event.current),
         **named("sensors", event.sensors),
+        **({"facts_names": list(event.facts), "facts_values": list(event.facts.values())} if event.facts else {}),
     }
     centres = {
         "ball": _int(event.ball),

@@ -15,7 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
-from mbcacq.files.atomic_write import sync_folder
+from mbcacq.files.atomic_write import inside_folder, sync_folder
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
@@ -32,6 +32,7 @@ class Sink:
 
     def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.Blueprint) -> None:
         rerun_path(path)  # what is written could not be read
+        inside_folder(path)
         _refuse_full_disk(path)
         self.path = path
         self._alive = True

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
-from mbcacq.files.atomic_write import sync_folder
+from mbcacq.files.atomic_write import inside_folder, sync_folder
 from mbcacq.model.cell import SIMULATED
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
@@ -80,6 +80,10 @@ class Journal:
         )
 
     @_write.register
+    def _(self, event: events.FactChanged) -> None:
+        self._write_journal(event.time_s, event="fact", role=event.role, name=event.name, before=event.before, now=event.now)
+
+    @_write.register
     def _(self, event: events.Gap) -> None:
         self._write_journal(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
 
@@ -139,6 +143,7 @@ def read_log(folder: Path | str) -> list[dict[str, Any]]:
 
 def _open(path: Path) -> BinaryIO:
     """Open for appending; a torn last line left by a crash is ended first, so that it spoils no other."""
+    path = inside_folder(path)
     torn = path.exists() and path.stat().st_size > 0 and path.read_bytes()[-1:] != b"\n"
     file = path.open("ab")
     if torn:

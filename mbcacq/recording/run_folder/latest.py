@@ -1,5 +1,5 @@
 """Which run is meant: ``latest`` beside the folders of the runs is a link to the newest one, or a file with its name where links are not
-possible; a plan is none."""
+possible; a plan is none, and a check is none either."""
 
 from __future__ import annotations
 
@@ -8,40 +8,50 @@ from contextlib import suppress
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import inside_folder
+from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, kind_of, newest
 
 RUNS, LATEST = "runs", "latest"
 
 
-def mark_latest(folder: Path) -> None:
-    """Let ``latest`` name this folder of a run, if it stands in a folder 'runs'. Anything else of that name stays; so does a run whose mark
-    cannot be written."""
+def mark_latest(folder: Path, kind: RunKind = RunKind.RUN) -> None:
+    """Let ``latest`` name this folder of a run, if it stands in a folder 'runs' and is no check. Anything else of that name stays; so does
+    a run whose mark cannot be written."""
     folder = folder.absolute()
     mark = folder.parent / LATEST
-    if folder.parent.name != RUNS or folder == mark or mark.is_dir() and not mark.is_symlink():
+    if kind not in CALIBRATED_FROM or folder.parent.name != RUNS or folder == mark or mark.is_dir() and not mark.is_symlink():
         return
     made = mark.with_name(f".{LATEST}-{os.getpid()}")  # replaced in one step: two runs may start at once
     with suppress(OSError):
         try:
             made.symlink_to(folder.name, target_is_directory=True)
         except (OSError, NotImplementedError):  # Windows without the right to make links, a network drive
-            made.write_text(f"{folder.name}\n", encoding="utf-8")
+            inside_folder(made).write_text(f"{folder.name}\n", encoding="utf-8")
         made.replace(mark)
 
 
-def named_run(path: Path) -> Path:
-    """The folder that 'latest' or 'runs/latest' names; any other path as it is. Raises ConfigError where there is no run."""
+def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
+    """The folder that 'latest' or 'runs/latest' names, which is the newest of these kinds; any other path as it is. Raises ConfigError
+    where there is none."""
     mark = Path(RUNS) / LATEST if path == Path(LATEST) and not path.exists() else path
     if mark.name != LATEST or mark.parent.name != RUNS or mark.is_dir() and not mark.is_symlink():
         return mark
+    marked = _marked(mark)
+    if kinds == CALIBRATED_FROM and marked is not None and marked.is_dir() and kind_of(marked) in kinds:
+        return marked
+    if (found := newest(mark.parent, kinds)) is not None:
+        return found
+    if marked is None or marked.is_dir():
+        what = "run" if RunKind.RUN in kinds else "check"
+        raise ConfigError(f"{mark} does not exist, there is no {what} yet; start one, such as mbcacq run plans/quick.yaml --dry-run")
+    raise ConfigError(f"{mark} names the run {marked}, which is gone; give the folder of another run")
+
+
+def _marked(mark: Path) -> Path | None:
+    """The folder that a mark names, there or not; None where there is no mark."""
     if mark.is_symlink():
-        folder = mark.parent / mark.readlink()
-    elif mark.is_file():
-        folder = mark.parent / mark.read_text(encoding="utf-8").strip()
-    else:
-        raise ConfigError(f"{mark} does not exist, there is no run yet; start one, such as mbcacq run plans/quick.yaml --dry-run")
-    if not folder.is_dir():
-        raise ConfigError(f"{mark} names the run {folder}, which is gone; give the folder of another run")
-    return folder
+        return mark.parent / mark.readlink()
+    return mark.parent / mark.read_text(encoding="utf-8").strip() if mark.is_file() else None
 
 
 def refuse_plan(path: Path) -> None:

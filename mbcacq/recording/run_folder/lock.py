@@ -13,6 +13,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import inside_folder
 
 LOCK_FILE, OWNER_FILE = ".run.lock", ".run.lock.json"
 MOST_BYTES = 4096  # of the name of an owner
@@ -26,7 +27,7 @@ def write_lock(folder: Path | str, command: str) -> Iterator[None]:
     Raises RecordingError with the pid of the process that holds it. A folder that cannot be written to needs no lock.
     """
     folder = Path(folder)
-    lock = FileLock(folder / LOCK_FILE)
+    lock, owner = FileLock(inside_folder(folder / LOCK_FILE)), inside_folder(folder / OWNER_FILE)
     try:
         lock.acquire(timeout=0)
     except Timeout:
@@ -38,11 +39,11 @@ def write_lock(folder: Path | str, command: str) -> Iterator[None]:
         return
     try:
         with suppress(OSError):  # a full disk: the lock holds, only its owner's name is missing
-            (folder / OWNER_FILE).write_text(json.dumps({"pid": os.getpid(), "command": command}), encoding="utf-8")
+            owner.write_text(json.dumps({"pid": os.getpid(), "command": command}), encoding="utf-8")
         yield
     finally:
         with suppress(OSError):
-            (folder / OWNER_FILE).unlink()
+            owner.unlink()
         lock.release()
 
 

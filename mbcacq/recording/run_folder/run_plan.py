@@ -52,16 +52,23 @@ class KeptPlan:
     grown_from: int | None = None
 
 
-def plan_files_text(
-    files: Mapping[str, str], cell: str, path: Path | None = None, corrected: Mapping[str, Any] | None = None, grown_from: int | None = None
+def plan_files_text(  # noqa: PLR0913 -- each is one field of the file
+    files: Mapping[str, str],
+    cell: str,
+    kind: str = "run",
+    path: Path | None = None,
+    corrected: Mapping[str, Any] | None = None,
+    grown_from: int | None = None,
 ) -> str:
-    """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed). path:
-    of the plan, with which a resumed run needs not be given it again. corrected: nominal and corrected joint angles, where a calibrated arm
-    steers the run. grown_from: see ``LoadedPlan``; the plan is then the one that the folder keeps."""
+    """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed).
+
+    kind: what is recorded, see ``RunKind``. path: of the plan, with which a resumed run needs not be given it again. corrected: nominal and
+    corrected joint angles, where a calibrated arm steers the run. grown_from: see ``LoadedPlan``; the plan is then the one that the folder
+    keeps."""
     where = {} if path is None else {"path": str(path.absolute())}
     steered = {} if corrected is None else {"corrected": corrected}
     grown = {} if grown_from is None else {"grown_from": grown_from}
-    return json.dumps({"format": FORMAT, "cell": cell, **where, **steered, **grown, "files": dict(files)}, indent=1) + "\n"
+    return json.dumps({"format": FORMAT, "kind": kind, "cell": cell, **where, **steered, **grown, "files": dict(files)}, indent=1) + "\n"
 
 
 def plan_of_run(folder: Path) -> Path:

@@ -18,6 +18,7 @@ from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.run_folder.latest import refuse_plan
+from mbcacq.recording.viewer.vulkan import WITHOUT_VULKAN, has_vulkan
 
 QUIETLY = ("--bind", "127.0.0.1", "--hide-welcome-screen")  # it would listen everywhere
 START_TIMEOUT_S = 30.0
@@ -222,8 +223,7 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
             except Exception as error:  # noqa: BLE001 the client raises whatever its transport does while the viewer starts
                 if child.poll() is not None or time.monotonic() > deadline:
                     raise RecordingError(
-                        "no picture could be made: the viewer does not start without a screen; "
-                        "it needs a Vulkan driver, e.g. apt-get install mesa-vulkan-drivers"
+                        f"no picture could be made: the viewer does not start without a screen; {WITHOUT_VULKAN}"
                     ) from error
                 time.sleep(0.2)
         try:
@@ -231,6 +231,8 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
         except (RuntimeError, TimeoutError, ConnectionError) as error:
             ended = child.poll()
             why = str(error).splitlines()[0] if ended is None else f"the viewer ended by itself, code {ended}; is there too little memory?"
+            if ended is not None and not has_vulkan():
+                raise RecordingError(f"no picture could be made: the viewer ended by itself, code {ended}; {WITHOUT_VULKAN}") from error
             raise RecordingError(f"no picture could be made ({why}); try again, or look with mbcacq view") from error
     finally:
         rerun_program.end(child)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.transfer import Transfer
-from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, EffectFound
 from mbcacq.diagnosis.findings import Findings
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.pictures import axis_of
@@ -16,7 +16,6 @@ from mbcacq.diagnosis.output.text import difference, first_sentence, likelihood,
 from mbcacq.diagnosis.result import Diagnosis, FitFigures
 from mbcacq.effects.effect import ParameterEstimate, Parameters
 from mbcacq.effects.in_words import CHANNELS, spelt_out
-from mbcacq.effects.trend import REMOVES_NOTHING
 from mbcacq.quantities import K, capitalised, fixed, micrometres, p_value, pair, percent, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent, TrialContent
 from mbcacq.report.verdict import readable

@@ -64,10 +64,10 @@ async def build(server: Server, arm: ArmNodes) -> list[Node]:
     system = await obj(device_set, "MotionDeviceSystem")
     device = await obj(await obj(system, "MotionDevices"), "MotionDevice_1")
     for name, text in (("Manufacturer", ua.LocalizedText(arm.manufacturer)), ("Model", ua.LocalizedText(arm.model))):
-        await var(device, name, text, di)
-    await var(device, "SerialNumber", arm.serial, di)
+        arm.values[name] = await var(device, name, text, di)
+    arm.values["SerialNumber"] = await var(device, "SerialNumber", arm.serial, di)
     if arm.payload_kg is not None:
-        await var(await obj(device, "FlangeLoad"), "Mass", float(arm.payload_kg), eu="kg")
+        arm.values["Mass"] = await var(await obj(device, "FlangeLoad"), "Mass", float(arm.payload_kg), eu="kg")
     positions = await _axes(arm, await obj(device, "Axes"), obj, var, di)
     controller = await obj(await obj(system, "Controllers"), "Controller_1")
     await var(await obj(await obj(controller, "Software"), "Software_1"), "SoftwareRevision", arm.software, di)

@@ -48,6 +48,7 @@ class FakeOpcUaServer(Started):
         self._state, self._pace, self._host, self.port = state, 1.0 if realtime else HURRIED, host, port
         self.arm = arm or ArmNodes(names=tuple(f"Axis_{k}" for k in range(1, len(self.q) + 1)), profiles=(1,) * len(self.q))
         self._faults: dict[str, int] = {}
+        self._changed: dict[str, Any] = {}
         self._quit, self._ready = threading.Event(), threading.Event()
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="fake-opcua", daemon=True)
@@ -62,6 +63,10 @@ class FakeOpcUaServer(Started):
         """See FAULTS; 0 takes one back. Raises ValueError."""
         refuse_unknown(faults, FAULTS)
         self._faults |= faults
+
+    def report(self, **values: Any) -> None:
+        """Somebody sets these at the controller: Mass (kg), Model, SerialNumber."""
+        self._changed |= values
 
     def start(self) -> Self:
         """Returns when it listens. Raises OSError where the port is taken."""
@@ -122,6 +127,9 @@ class FakeOpcUaServer(Started):
             )
 
     async def _show(self, server: Server, positions: Sequence[Any]) -> None:
+        for name in list(self._changed):
+            value = self._changed.pop(name)
+            await self.arm.values[name].write_value(ua.LocalizedText(value) if name == "Model" else value)
         if self._faults.get("frozen"):
             return
         for axis, (node, value) in enumerate(zip(positions, served(np.degrees(self.q).tolist(), self.arm), strict=True), 1):

@@ -1,9 +1,11 @@
-"""The moment of a sudden change: a step between two poses in the order they were measured."""
+"""What changes while a recording is measured: a step between two poses in the order of measurement, and an exponential warm-up."""
+
+from __future__ import annotations
 
 import numpy as np
 
 from mbcacq.effects.context import Context, rank_in_time
-from mbcacq.effects.effect import MOMENT, Candidate, Hyperparameter
+from mbcacq.effects.effect import FADING, MOMENT, Candidate, Hyperparameter
 from mbcacq.model.observations import Observations
 
 NAME = "at_pose"
@@ -37,3 +39,18 @@ def indistinguishable_moments(candidate: Candidate, hyper: float | None, obs: Ob
 def pose_at(context: Context, rank: float) -> int:
     """Number of the pose (column ``pose``) that is the first after the change."""
     return int(context.obs.pose_id[np.flatnonzero(context.order == int(rank))[0]])
+
+
+TIME_CONSTANT = "time_constant_s"
+
+
+def time_constant(context: Context) -> Hyperparameter:
+    """Time constants from a few hundredths to twice the duration of the recording."""
+    total = float(np.ptp(context.time))
+    return Hyperparameter(TIME_CONSTANT, np.geomspace(0.03 * total, 2.0 * total, 16), 2.0, kind=FADING)
+
+
+def time_constant_std(tau: float, c: np.ndarray, v: np.ndarray) -> float:
+    """Rough standard deviation of tau: the fading and its derivative by log tau are about equally large."""
+    size = float(np.linalg.norm(c))
+    return float(tau * 2.0 * np.sqrt(np.trace(v)) / max(size, 1e-30))
