@@ -12,7 +12,7 @@ import click
 
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
-from mbcacq.cli.run_path import ANY, RunPath
+from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
@@ -28,7 +28,9 @@ DEVICES = ("robot", "scanner", "positioner", "sensor", "devices")
 @click.command("doctor")
 @click.argument("plan", required=False, type=PlanPath())
 @click.option("--protocol", is_flag=True, help="Instead: a protocol for the first contact of PLAN with real devices, to be ticked.")
-@click.option("--evidence", type=RunPath(*ANY), metavar="RUN", help="Instead: what the devices of a run said, as one JSON file to be sent.")
+@click.option(
+    "--evidence", type=RunPath(every_kind=True), metavar="RUN", help="Instead: what the devices of a run said, as one JSON file to be sent."
+)
 @click.option("--anonymous", is_flag=True, help="With --evidence: without addresses, users and serial numbers.")
 @click.option("--out", type=click.Path(path_type=Path), help="Where --protocol and --evidence write to [default: stdout].")
 @click.option("--arm", is_flag=True, help="Connect a real robot too, which can switch its drives on; it is not moved.")

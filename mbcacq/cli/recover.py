@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.next_step import command_line, say_next
-from mbcacq.cli.run_path import ANY, RunPath
+from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
 @click.command("recover")
-@click.argument("recording", type=RunPath(*ANY))
+@click.argument("recording", type=RunPath(every_kind=True))
 @click.option("--check", is_flag=True, help="Only compare every file of the run with the checksums of what was written.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(recording: Path, check: bool, as_json: bool) -> None:

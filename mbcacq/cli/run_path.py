@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import click
 
 from mbcacq.errors import command_line
-
-ANY: Final = ("run", "check", "extension", "investigation", "collected", "simulated")
 
 
 class RunPath(click.Path):
     """A path; 'latest' and 'runs/latest' become the folder of the newest recording of the kinds that the command can use.
 
     kinds: of ``RunKind`` by name; default all that can be calibrated by themselves. checks_too: the folder of a check is accepted where it
-    is named, though 'latest' is none.
+    is named, though 'latest' is none. every_kind: whatever was recorded.
     """
 
-    def __init__(self, *kinds: str, checks_too: bool = False) -> None:
+    def __init__(self, *kinds: str, checks_too: bool = False, every_kind: bool = False) -> None:
         super().__init__(path_type=Path)
-        self._kinds, self._checks_too = kinds, checks_too
+        self._kinds, self._checks_too, self._every_kind = kinds, checks_too, every_kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         from mbcacq.files.atomic_write import INCOMPLETE, finish_set
@@ -30,7 +28,7 @@ class RunPath(click.Path):
 
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
-        kinds = frozenset(map(RunKind, self._kinds)) or CALIBRATED_FROM
+        kinds = frozenset(RunKind if self._every_kind else map(RunKind, self._kinds)) or CALIBRATED_FROM
         run = named_run(path, kinds)
         refuse_other_kind(run, kinds | {RunKind.CHECK} if self._checks_too else kinds)
         folder = run if run.is_dir() else run.parent

@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.next_step import command_line, say_next
-from mbcacq.cli.run_path import ANY, RunPath
+from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
 @click.command("view")
-@click.argument("run", type=RunPath(*ANY))
+@click.argument("run", type=RunPath(every_kind=True))
 @click.option(
     "--screenshot",
     type=click.Path(path_type=Path, file_okay=False),

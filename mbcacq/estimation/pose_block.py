@@ -116,10 +116,13 @@ class PoseBlock:
         G = self.weighted.G
         P, R, B, u = G.shape
         rows = (G * np.sqrt(self.precision)[:, None, None]).reshape(P, R * B, u)
-        joint = rows @ self.joints
-        covariance = joint @ np.swapaxes(joint, 1, 2)
-        covariance[:, np.arange(R * B), np.arange(R * B)] += 1.0  # no eigenvalue is below one, whatever the joint noise is
-        return np.linalg.solve(np.linalg.cholesky(covariance), rows) * np.sqrt(self.share)[:, None, None]
+        inverse = np.eye(R * B) - rows @ self.N @ np.swapaxes(rows, 1, 2)
+        try:
+            root = np.swapaxes(np.linalg.cholesky(inverse), 1, 2)
+        except np.linalg.LinAlgError:  # a direction that the joint noise hides: rounding leaves its eigenvalue at zero or below
+            values, vectors = np.linalg.eigh(inverse)
+            root = np.sqrt(np.maximum(values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
+        return root @ rows * np.sqrt(self.share)[:, None, None]
 
     def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products of the columns, summed over the poses, and over those of each station at which the block is: H (g, g), Hss (S', 6, 6),

@@ -1,5 +1,8 @@
 """Products of columns that are never written out are those of the columns."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import simulated
@@ -7,7 +10,8 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
-from mbcacq.effects.unmodelled import everywhere
+from mbcacq.effects.unmodelled import everywhere, group
+from mbcacq.estimation.pose_block import PoseBlock
 from mbcacq.estimation.terms import Part
 from mbcacq.estimation.whitened_columns import WhitenedColumns, is_wide
 
@@ -64,3 +68,30 @@ def test_displacements_and_products_with_rows_without_the_columns(linear, groups
         np.testing.assert_allclose(linear.displacement(parts, values), columns @ values, rtol=1e-9, atol=1e-9 * np.abs(columns).max())
         expected = np.einsum("mrk,mr->k", columns, rows)
         np.testing.assert_allclose(linear.products(parts, rows), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_link_with_nothing_of_a_mass_behind_it_has_no_group_by_gravity(linear):
+    robot = linear.obs.cell.robot
+    massless = replace(robot, mass=np.where(np.arange(robot.n) < 4, robot.mass, 0.0), payload_mass=0.0)
+    here = Covariates(replace(linear.obs, cell=replace(linear.obs.cell, robot=massless)))
+    assert np.abs(here.gravity_moment(5)).max() == 0
+    assert group(here, "link5", "gravity_torque_5") is None
+    assert group(here, "link2", "gravity_torque_2") is not None
+
+
+@pytest.mark.parametrize("joint_sigma", [1e-6, 1.0, 1e6, 1e9])
+def test_a_poses_whitened_columns_have_the_information_of_its_rows_however_large_the_joint_noise(joint_sigma):
+    """With one joint the information is L - L t t'L s^2 / (1 + s^2 t'L t) (Sherman and Morrison)."""
+    rng = np.random.default_rng(3)
+    P, R, B, u = 4, 3, 5, 6
+    G, t = rng.normal(size=(P, R, B, u)), rng.normal(size=(P, u, 1))
+    squares = (np.swapaxes(G, 2, 3) @ G).reshape(P, R, u * u)
+    weighted = SimpleNamespace(place=None, share=np.ones(P), own=None, scale=np.ones((P, R, B)), G=G, squares=squares)
+    weighted.by_axis = lambda residual: residual.reshape(P, B, R).transpose(0, 2, 1)
+    columns = SimpleNamespace(joints=t, residual=np.zeros((P, B * R)))
+    noise = SimpleNamespace(row_sigma=lambda width: np.ones(width))
+    W = PoseBlock(weighted, columns, noise, np.full((P, 1, 1), joint_sigma)).whitened_basis
+    L = squares.sum(axis=1).reshape(P, u, u)
+    s2, tLt = joint_sigma**2, np.swapaxes(t, 1, 2) @ L @ t
+    exact = L - L @ t @ np.swapaxes(t, 1, 2) @ L * (s2 / (1 + s2 * tLt))
+    np.testing.assert_allclose(np.swapaxes(W, 1, 2) @ W, exact, atol=1e-6 * np.abs(L).max())

@@ -44,6 +44,14 @@ def test_what_robot_import_writes_is_named(cell, tmp_path):
     assert parse_cell(read_observation_set(path.parent).cell_yaml).robot.name == "Arm: no. 1"
 
 
+@pytest.mark.parametrize("name", ["08", "1e3", "yes", "0x1F", "~", "1.0"])
+def test_a_name_that_reads_like_another_type_stays_the_text_that_it_is(cell, tmp_path, name):
+    own = shipped.robot_file("ur10e").read_text()
+    (tmp_path / "arm.yaml").write_text(own.replace(f"name: {yaml.safe_load(own)['name']}", f'name: "{name}"', 1))
+    read, text = read_cell(cell("../arm.yaml"))
+    assert (read.robot.name, parse_cell(text).robot.name) == (name, name)
+
+
 def test_a_robot_of_the_tool_is_named(cell):
     known = yaml.safe_load(shipped.robot_file("ur10e").read_text())
     assert read_cell(cell("ur10e"))[0].robot.name == known["name"]

@@ -346,6 +346,13 @@ def test_mjcf_without_its_meshes_has_the_flange_that_it_has_with_them(read):
     assert any("none.stl" in remark for remark in without.remarks)
 
 
+@pytest.mark.parametrize("limits", ["-170 inf", "-inf 170"])
+def test_an_infinite_limit_of_mjcf_is_named_with_its_joint(read, limits):
+    text = mjcf("").replace('name="j2"', f'name="j2" range="{limits}"')
+    with pytest.raises(ConfigError, match="'j2' has the limits"):
+        read(text, "arm.xml")
+
+
 def test_mjcf_knows_grippers_sites_and_several_arms_as_urdf_does(read):
     found = read(mjcf(FINGERS), "arm.xml")
     assert (len(found.joints), found.flange) == (5, "b5")
