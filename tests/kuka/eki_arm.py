@@ -17,6 +17,6 @@ def stands(fake):
     return np.allclose(fake.state.read().q, before, rtol=0, atol=1e-7)
 
 
-def on_the_way(robot):
-    robot.move_to(FAR, SLOW)
+def on_the_way(robot, limits=SLOW):
+    robot.move_to(FAR, limits)
     wait(lambda: np.degrees(robot.state().q[0]) > 0.3)
