@@ -138,12 +138,15 @@ def test_a_controller_that_does_not_acknowledge_is_stopped(eki_cell):
     wait(lambda: fake.state.output(3) == (False, 1))
 
 
+PATIENT = {"silence_s": 20.0, "reconnect_s": 30.0}  # a busy computer may give the fake no turn for seconds
+
+
 def test_a_connection_that_is_lost_in_a_pulse_leaves_it_off(eki_cell):
-    fake, robot = eki_cell(controller={"sources": with_outputs("kss", 3)}, robot={"digital_outputs": [3]})
+    fake, robot = eki_cell(controller={"sources": with_outputs("kss", 3)}, robot={"digital_outputs": [3], **PATIENT})
     robot.set_output(3, True)
     fake.inject(reset=1)
     wait(lambda: not fake.state.output(3)[0])
-    wait(lambda: robot._session._connections == 2 and robot._session._link is not None)  # taken up again
+    wait(lambda: robot._session._connections >= 2 and robot._session._link is not None)  # taken up again
     robot.set_output(3, True)
     assert fake.state.output(3) == (True, 2)
 
