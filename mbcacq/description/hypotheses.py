@@ -28,6 +28,7 @@ QUARTER = np.pi / 2
 LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
+LEAST_SHIFTED = 8  # poses that have a partner after a shift of the rows: fewer fit anything
 LENGTHS = ("metres", 1e3), ("centimetres", 10.0), ("inches", INCH_MM)
 
 
@@ -176,9 +177,13 @@ def _frames(o: Observations) -> Iterator[Misreading]:
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:
-    for shift in (1, -1):
-        word = "next" if shift == 1 else "previous"
-        yield Misreading(f"each measurement belonging to the {word} pose", "rows", lambda o, s=shift: _shifted(o, s))
+    for shift in (1, -1, 2, -2, 3, -3, 4, -4, 5, -5):
+        if o.n_poses - abs(shift) >= LEAST_SHIFTED:
+            word = (
+                "next pose" if shift == 1 else "previous pose" if shift == -1 else f"pose {abs(shift)} rows {'on' if shift > 0 else 'back'}"
+            )
+            yield Misreading(f"each measurement belonging to the {word}", "rows", lambda o, s=shift: _shifted(o, s))
+    yield Misreading("the rows of the measurements in reverse order", "rows", lambda o: replace(o, q=o.q[::-1]))
 
 
 def _angles(o: Observations, matrix: np.ndarray) -> Observations:
@@ -237,9 +242,10 @@ def _in_degrees(T: np.ndarray, read: str) -> np.ndarray:
 
 
 def _shifted(o: Observations, shift: int) -> Observations:
-    """The angles of the next or previous pose for each measurement; the pose at the end keeps its own."""
-    at = np.clip(np.arange(o.n_poses) + shift, 0, o.n_poses - 1)
-    return replace(o, q=o.q[at])
+    """The angles of a pose some rows on or back for each measurement; poses at the end that have no partner are left out."""
+    at = np.arange(o.n_poses) + shift
+    inside = (at >= 0) & (at < o.n_poses)
+    return replace(o, q=o.q[np.clip(at, 0, o.n_poses - 1)]).select(inside)
 
 
 def _rotation(o: Observations) -> np.ndarray:
