@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.clock import ClockError, in_seconds, is_clock, seconds
+from mbcacq.files.clock import ClockError, is_clock, seconds
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
 from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
 from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_in_cells, unit_named
@@ -147,7 +147,7 @@ class Table:
         """(rows,) s of a column of numbers, times of day or dates; see ``mbcacq.files.clock``."""
         cells = self.text(name)
         if not any(map(is_clock, cells)):
-            return in_seconds(self.number(name))
+            return self.number(name)
         try:
             return seconds(cells)
         except ClockError as error:

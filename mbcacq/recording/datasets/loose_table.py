@@ -17,6 +17,7 @@ import numpy as np
 from mbcacq.description import wrong_descriptions
 from mbcacq.description.plain_fit import residual_mm
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
@@ -324,7 +325,7 @@ def _observations(table: Table, reading: TableReading, options: TableOptions) ->
         xyz=np.concatenate(xyz)[order],
         rotation=np.concatenate(rotation)[order] if reading.targets[0].rotation else None,
         covariance=np.concatenate(covariance)[order] if covariance else None,
-        time_s=table.number("time_s") if table.has(["time_s"]) else None,
+        time_s=in_seconds(table.time("time_s")) if table.has(["time_s"]) else None,
     )
     return with_estimated_centres(_with_stated_noise(obs), str(table.path))
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, TableSchema, read_table
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, unit_above
 from mbcacq.recording.datasets.csv_columns import TIME, numbers
@@ -213,7 +214,7 @@ def _read(path: Path, names: Mapping[str, str]) -> Table:
 
 
 def _log(table: Table, value: np.ndarray, joints: bool) -> tuple[_Log, list[str]]:
-    t = table.time("time")
+    t = in_seconds(table.time("time"))
     if (np.diff(t) < 0).any():
         row = int(np.argmax(np.diff(t) < 0)) + 1
         raise ConfigError(f"{table.where(row, 'time')}: the time goes back; sort the rows, or give one recording")
