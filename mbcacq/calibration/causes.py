@@ -248,7 +248,9 @@ def _mean_distances(obs: Observations) -> np.ndarray | None:
 
 
 def other_arm(obs: Observations) -> str:
-    """A sentence on an arm of the tool's own that fits much better than the one that is named; '' where none does."""
+    """A sentence on an arm of the tool's own that fits much better than the one that is named; '' where none does, or none is named."""
+    if obs.cell.robot.of_flange_poses:
+        return ""
     few = plain_fit.subset(obs)
     before = plain_fit.residual_mm(few)
     found = []

@@ -28,6 +28,7 @@ QUARTER = np.pi / 2
 LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
+MOST_SHIFTED = 5  # rows by which measurements may belong to another pose
 LEAST_SHIFTED = 8  # poses that have a partner after a shift of the rows: fewer fit anything
 LENGTHS = ("metres", 1e3), ("centimetres", 10.0), ("inches", INCH_MM)
 
@@ -177,12 +178,11 @@ def _frames(o: Observations) -> Iterator[Misreading]:
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:
-    for shift in (1, -1, 2, -2, 3, -3, 4, -4, 5, -5):
+    for shift in (s for rows in range(1, MOST_SHIFTED + 1) for s in (rows, -rows)):
         if o.n_poses - abs(shift) >= LEAST_SHIFTED:
-            word = (
-                "next pose" if shift == 1 else "previous pose" if shift == -1 else f"pose {abs(shift)} rows {'on' if shift > 0 else 'back'}"
-            )
-            yield Misreading(f"each measurement belonging to the {word}", "rows", lambda o, s=shift: _shifted(o, s))
+            further = f"pose {abs(shift)} rows {'on' if shift > 0 else 'back'}"
+            pose = {1: "next pose", -1: "previous pose"}.get(shift, further)
+            yield Misreading(f"each measurement belonging to the {pose}", "rows", lambda o, s=shift: _shifted(o, s))
     yield Misreading("the rows of the measurements in reverse order", "rows", lambda o: replace(o, q=o.q[::-1]))
 
 

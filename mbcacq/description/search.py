@@ -62,8 +62,8 @@ def wrong_descriptions(observations: Observations, fit: Fit | None = None) -> tu
 def _best(observations: Observations, fit: Fit | None) -> DescriptionFinding | None:
     few = subset(observations)
     before = residual_mm(few)
-    screened = sorted(((_score(few, h, True), i, h) for i, h in enumerate(hypotheses(few))), key=lambda s: s[:2])
-    scored = sorted(((_score(few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
+    screened = sorted(((_score(observations, few, h, True), i, h) for i, h in enumerate(hypotheses(few))), key=lambda s: s[:2])
+    scored = sorted(((_score(observations, few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
     near = [(score, h) for score, _, h in scored if score < MOST * before]
     if not near:
         return None
@@ -85,10 +85,11 @@ def _finding(near: list[tuple[float, Misreading]], before: float) -> Description
     return DescriptionFinding(best.what, before, score, tuple(h.what for _, h in near[1:]), best.change)
 
 
-def _score(observations: Observations, hypothesis: Misreading, screening: bool) -> float:
-    """Infinite where the change leaves nothing that can be fitted."""
+def _score(observations: Observations, few: Observations, hypothesis: Misreading, screening: bool) -> float:
+    """Infinite where the change leaves nothing that can be fitted. few: the subset that is fitted; rows are moved before it is taken."""
     try:
-        return residual_mm(hypothesis.change(observations), screening)
+        changed = subset(hypothesis.change(observations)) if hypothesis.kind == "rows" else hypothesis.change(few)
+        return residual_mm(changed, screening)
     except (ValueError, np.linalg.LinAlgError):
         return float("inf")
 

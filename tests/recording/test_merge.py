@@ -140,15 +140,24 @@ def as_ros_joints(t, q):
 
 def as_ros_point(t, xyz):
     yield "%time,field.header.seq,field.point.x,field.point.y,field.point.z"
-    yield from (f"{EPOCH_NS + round(1e9 * a)},{k},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for k, (a, (x, y, z)) in enumerate(zip(t, xyz)))
+    yield from (
+        f"{EPOCH_NS + round(1e9 * a)},{k},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for k, (a, (x, y, z)) in enumerate(zip(t, xyz))
+    )
 
 
 def as_euroc(t, xyz):
     yield "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]"
-    yield from (f"{EPOCH_NS + round(1e9 * a)},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for a, (x, y, z) in zip(t, xyz))
+    yield from (f"{EPOCH_NS + round(1e9 * a)},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for a, (x, y, z) in zip(t, xyz, strict=True))
 
 
-WRITTEN = [(as_ros_joints, as_ros_point), (as_ros_joints, as_euroc), (as_rtde, as_spatialanalyzer), (as_rtde_poses, as_leica), (as_trace, as_api), (as_scope, as_leica)]
+WRITTEN = [
+    (as_ros_joints, as_ros_point),
+    (as_ros_joints, as_euroc),
+    (as_rtde, as_spatialanalyzer),
+    (as_rtde_poses, as_leica),
+    (as_trace, as_api),
+    (as_scope, as_leica),
+]
 
 
 @pytest.mark.parametrize(("arm", "instrument"), WRITTEN, ids=lambda write: write.__name__)
@@ -191,6 +200,15 @@ def test_times_that_no_motion_has_are_refused_and_clocks_of_computers_are_read_b
     arm, tracker = write_logs(tmp_path, motion, 0.0, clock=lambda s: repr(round(1e9 * s)))
     with pytest.raises(ConfigError, match="s from row to row, which cannot be s; name the column with its unit"):
         merge_logs(arm, tracker, {})
+
+
+def test_exchanged_axes_are_said_with_the_words_of_calibrate(tmp_path, motion):
+    arm, tracker = write_logs(tmp_path, motion, 0.0)
+    arm.write_text(arm.read_text().replace("J1,J2,J3", "J3,J2,J1"))
+    command_line = ["merge", str(arm), str(tracker), "--robot", "ur10e", "--eye-to-hand", "--out", str(tmp_path / "set")]
+    said = CliRunner().invoke(command, command_line).exception
+    assert "with the columns of A1 and A3 exchanged the residual falls from" in str(said)
+    assert not (tmp_path / "set").exists()
 
 
 def test_even_times_stay_as_they_are():

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.description import wrong_descriptions
+from mbcacq.calibration.causes import misdescribed
 from mbcacq.description.plain_fit import residual_mm
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import in_seconds
@@ -142,8 +142,8 @@ def _refuse_unfitting(alike: Sequence[Observations], best_mm: float, table: Tabl
         )
     if best_mm < DOUBTFUL_MM:
         return
-    if mistakes := next(filter(None, map(wrong_descriptions, alike)), ()):
-        raise ConfigError(f"{table.path}: {'; '.join(map(str, mistakes))}; correct the table, or say how it is meant")
+    if mistake := next(filter(None, map(misdescribed, alike)), ""):
+        raise ConfigError(f"{table.path}: {mistake}; correct the table, or say how it is meant")
     rng = np.random.default_rng(0)
     paired_at_random = [_misfit(replace(obs, q=obs.q[rng.permutation(obs.n_poses)])) for _ in range(SHUFFLES)]
     if best_mm > max(NO_FIT_MM, NO_FIT * float(np.median(paired_at_random))):
