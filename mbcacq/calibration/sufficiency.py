@@ -40,7 +40,8 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
 
     Poses of phase 'position', and poses without phases, are meant to determine the whole cell: nothing changes. Without that phase, poses
     at one station determine the hand-eye transform alone; at several stations, what they leave open is held, and the standard deviations
-    show it; poses of one orientation leave too much open for that. Options that hold the arm or refuse nothing already, and those of the published method, stay.
+    show it; poses of one orientation leave too much open. Options that hold the arm or refuse nothing already, and those of the published
+    method, stay.
     """
     if obs.cell.robot.of_flange_poses:
         return replace(options, kinematics=False)
