@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.causes import misdescribed
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
