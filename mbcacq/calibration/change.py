@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mbcacq.estimation import terms
 from mbcacq.estimation.adjustment import Adjustment
@@ -57,7 +56,7 @@ class KindOfChange:
 
 
 @dataclass(frozen=True)
-class Change(AsJson):
+class ChangeFound(AsJson):
     """A change at a moment of a recording.
 
     Attributes
@@ -118,7 +117,7 @@ class Change(AsJson):
         )
 
 
-def _shown(change: Change) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _shown(change: ChangeFound) -> tuple[np.ndarray, np.ndarray, list[str]]:
     factor = np.array([np.degrees(1.0) if u == "rad" else 1.0 for u in change.units])
     return factor * change.value, factor * change.std, ["°" if u == "rad" else u for u in change.units]
 
@@ -135,7 +134,7 @@ def in_words(kind: str, where: str) -> tuple[str, str]:
     }[kind]
 
 
-def found_change(fitted: Adjustment) -> Change | None:
+def found_change(fitted: Adjustment) -> ChangeFound | None:
     """The change that a recording shows; None where what it shows has a probability of ``false_alarms`` without one.
 
     Parameters
@@ -218,7 +217,7 @@ def _look(at: Solution, kinds: list[KindOfChange]) -> _Look:
         log_bf.append(found.log_bayes_factor + prior)
     best = [float(one.max()) for one in log_bf]
     k = int(np.argmax(best))
-    return _Look(test, steps, log_bf, k, int(np.argmax(log_bf[k])), float(logsumexp(np.concatenate(log_bf))))
+    return _Look(test, steps, log_bf, k, int(np.argmax(log_bf[k])), float(np.logaddexp.reduce(np.concatenate(log_bf))))
 
 
 def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -> Noise:
@@ -245,7 +244,7 @@ def _log_posterior(at: Solution, noise: Noise) -> float:
     return log_restricted_posterior(fitted, noise, at.lineariser.noise_prior)
 
 
-def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> Change:
+def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> ChangeFound:
     kind, test, t = kinds[look.kind], look.test, look.moment
     obs, of = test.solution.lineariser.obs, look.log_bf[look.kind]
     near = _with_every_pose(test.solution, kind, np.flatnonzero(of > of[t] - OPTIONS.same_moment))
@@ -254,13 +253,13 @@ def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> Change:
     best: dict[str, float] = {}
     for one, log_bf in zip(kinds, look.log_bf, strict=True):
         name = f"{one.name}:{one.where}"
-        best[name] = max(best.get(name, -np.inf), float(logsumexp(log_bf)))
+        best[name] = max(best.get(name, -np.inf), float(np.logaddexp.reduce(log_bf)))
     own = f"{kind.name}:{kind.where}"
     other = tuple(name for name, size in best.items() if name != own and size > best[own] - OPTIONS.other_kind)
     other = () if kind.name in ("mount", "scanner") and set(other) <= {"mount:", "scanner:"} else other
     pose = int(test.order[t])
     before, after, std = _hand_eyes(look, kind, value, covariance)
-    return Change(
+    return ChangeFound(
         kind=kind.name,
         where=kind.where,
         before=int(obs.pose_id[test.order[near.min() - 1]]),

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.causes import misdescribed
-from mbcacq.calibration.change import Change, found_change
+from mbcacq.calibration.change import ChangeFound, found_change
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
@@ -131,7 +131,7 @@ def _hand_eye_alone(result: CalibratedCell, fitted: Adjustment) -> CalibratedCel
     return result
 
 
-def _change_beyond_smooth_errors(fitted: Adjustment, smooth: Callable[[], WithDiscrepancy | None]) -> Change | None:
+def _change_beyond_smooth_errors(fitted: Adjustment, smooth: Callable[[], WithDiscrepancy | None]) -> ChangeFound | None:
     """The change that a recording shows, unless smooth errors of the joints explain as much: what depends on posture is no accident."""
     change = found_change(fitted)
     if change is None:
@@ -140,7 +140,7 @@ def _change_beyond_smooth_errors(fitted: Adjustment, smooth: Callable[[], WithDi
     return change if found is None or change.log_e > found.gain else found_change(found.adjustment)
 
 
-def _with_change(result: CalibratedCell, change: Change | None) -> CalibratedCell:
+def _with_change(result: CalibratedCell, change: ChangeFound | None) -> CalibratedCell:
     if change is None:
         return result
     said = replace(result, extra={**result.extra, "change": change.to_dict()})

@@ -1,7 +1,7 @@
 """Score test of a step at every moment of a recording: what columns that act from a pose on would gain, without a refit.
 
-The Gram of the steps follows from sums over the poses behind each moment. Of a column Z that begins at moment t, parameters and stations
-take off ``w C w'`` and ``v v'``, with w and v its products with their columns; both are cumulative sums (Rao 1948).
+The Gram of the steps follows from sums over the poses behind each moment. Parameters and
+stations take off ``w C w'`` and ``v v'``, with w and v the products of a step with their columns; both are cumulative sums (Rao 1948).
 
 What is found among all moments and kinds is judged by an e-value: the mean, over kinds, moments and sizes, of Bayes factors with Zellner's
 prior. Its expectation is 1 where nothing changed, so that it exceeds 1/a with probability a at most, however many moments are looked at.
