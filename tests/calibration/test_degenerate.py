@@ -131,6 +131,15 @@ def test_one_posture_a_station_is_nothing_to_compare(cell, recording):
             calibrate(obs, CalibrationOptions(method="paper", pairs=pairs))
 
 
+def test_poses_of_one_orientation_are_calibrated_where_the_hand_eye_translation_is_held_or_nothing_is_refused(cell):
+    obs = one_orientation(cell)
+    with pytest.raises(CalibrationError, match="same orientation"):
+        calibrate(obs)
+    held = tuple(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz"))
+    for options in (CalibrationOptions(hold=held), CalibrationOptions(refuse=False)):
+        assert calibrate(obs, replace(options, kinematics=False)).fit.rms_mm < 0.5
+
+
 @pytest.mark.parametrize("recording", [no_translations, balls_on_one_line], ids=lambda f: f.__name__)
 def test_what_maximum_likelihood_does_determine_is_right(cell, recording):
     """Without translations, or with balls on one line, orientations and stations still tell everything: normalised errors say so."""
