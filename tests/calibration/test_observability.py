@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.observability import indices
 
 
