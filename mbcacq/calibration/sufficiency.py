@@ -40,7 +40,8 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
 
     Poses of phase 'position', and poses without phases, are meant to determine the whole cell: nothing changes. Without that phase, poses
     at one station determine the hand-eye transform alone; at several stations, what they leave open is held, and the standard deviations
-    show it. Options that hold the arm or refuse nothing already, and those of the published method, stay.
+    show it; poses of one orientation leave too much open. Options that hold the arm or refuse nothing already, and those of the published
+    method, stay.
     """
     if obs.cell.robot.of_flange_poses:
         return replace(options, kinematics=False)
@@ -48,7 +49,8 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
         return options
     if at_one_station(select_phases(obs, options)):
         return replace(options, kinematics=False)
-    return replace(options, refuse=False)
+    turned = orientation_range(obs, enough=LEAST_ROTATION) >= LEAST_ROTATION
+    return replace(options, refuse=False) if turned else options
 
 
 def refuse_insufficient(obs: Observations, options: CalibrationOptions) -> None:
@@ -78,7 +80,7 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
             f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g}°, and all poses of a station have the same orientation (within "
             f"{np.degrees(turn):.1f}°): they look like radians; give joint angles in degrees"
         )
-    if turn < LEAST_ROTATION:
+    if turn < LEAST_ROTATION and options.refuse and not {"hand_eye.x", "hand_eye.y", "hand_eye.z"} <= set(options.hold):
         raise CalibrationError(
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f}°), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20° and more"

@@ -175,12 +175,13 @@ def command(
 
 def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
     """What to do after a diagnosis, and the command for it."""
+    from mbcacq.diagnosis.output.text import is_to_be_calibrated_with
     from mbcacq.workflow.load import is_run_folder
 
     run = is_run_folder(data[0])
     if with_found:
         return put_to_use(data[0] / "with-effects" if run else Path("with-effects"))
-    if found.model:
+    if found.poses is not None and is_to_be_calibrated_with(found.poses):
         return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:
         return "see it in the report", command_line("report", data[0])

@@ -113,7 +113,8 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     if options.start is not None:
         return options.start
     begin = Estimate(start(obs))
-    held = replace(options, kinematics=False, discrepancy=False, balls=False, hold=(), release=(), terms=())
+    hand_eye = tuple(name for name in options.hold if name.startswith("hand_eye."))
+    held = replace(options, kinematics=False, discrepancy=False, balls=False, hold=hand_eye, release=(), terms=())
     # Kinematic errors are the noise here; their size matters little, as long as it does not make structure of half the poses.
     lever = obs.cell.robot.chain.lever
     noise, worse = (Noise(np.full(3, 0.02 * k), k * 4e-4 * lever.max() / lever, 5e-4 * k) for k in (1.0, WORSE_ARM))

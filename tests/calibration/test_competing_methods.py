@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate, maximum_likelihood
+from mbcacq.calibration import maximum_likelihood
 from mbcacq.calibration.competing_methods import HeldOutComparison, compared_on_held_out, plain_least_squares
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.adjustment import adjust
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 ALONE = CalibrationOptions(discrepancy=False, random_links=False, refuse=False)
@@ -76,6 +78,10 @@ def test_an_accident_that_nobody_predicts_judges_nobody(shaky):
     obs = replace(shaky.observations, xyz=xyz)
     found = compared_on_held_out(obs, "own", {"own": lambda some: moved(shaky.truth, 3.0), "truth": lambda some: shaky.truth})
     assert found.chosen == "truth"
+    assert found.pooled("truth") > 10.0
+    assert (found.centres, found.robust_centres) == (obs.n_centres, obs.n_centres - 1)
+    assert found.pooled("truth", robust=True) < 0.5 * found.pooled("truth")
+    assert f"over {obs.n_centres - 1} of {obs.n_centres} centres" in found.sentence("own")
 
 
 def test_plain_least_squares_is_where_the_sum_of_squares_is_least(shaky):

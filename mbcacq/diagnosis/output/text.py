@@ -66,7 +66,7 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = OPEN
-    elif d.verdict == "explained" and d.effects and not findings_and_trends(d.effects)[0]:
+    elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
         sentence = TREND_ALONE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 
@@ -168,13 +168,18 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
     if open_first := what_is_open(d):
         return open_first
-    if d.model:
+    if is_to_be_calibrated_with(d):
         taken = "verify the calibration with what was found on another recording (mbcacq verify), or use it"
         return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
     floor = noise_floor(d)
     if floor.fit_is_the_rest and floor.after_mm > DIAGNOSIS.noticeable * floor.floor_mm:
         return f"measure more poses: what these determine predicts others to {micrometres(floor.after_mm)} only"
     return what_could_hide(d.exclusion_limits)
+
+
+def is_to_be_calibrated_with(d: Diagnosis) -> bool:
+    """Whether a calibration with what was found is the next step: something is kept, and nothing has to be done before."""
+    return bool(d.model) and not what_is_open(d)
 
 
 def what_is_open(d: Diagnosis) -> str:
