@@ -18,7 +18,8 @@ def found(request: pytest.FixtureRequest) -> DiagnosisResult:
 
 def test_a_diagnosis_fits_a_screen_and_says_how_to_see_the_rest(found):
     lines = found.text.splitlines()
-    assert len(lines) <= 40 and len(lines) < len(found.in_words(whole=True).splitlines())
+    assert len(lines) <= 40
+    assert len(lines) < len(found.in_words(whole=True).splitlines())
     assert lines[-1] == "All figures, limits and notes: --all."
     assert "was not considered" not in found.text  # but in one line
     assert found.in_words(whole=True).startswith(lines[0])

@@ -1,4 +1,4 @@
-"""A diagnosis on one screen: what was found, each in a line, and what qualifies it. The whole is on the page, in the JSON and by ``words``."""
+"""A diagnosis on one screen: what was found, each in a line, and what qualifies it. ``words`` says all."""
 
 from __future__ import annotations
 
