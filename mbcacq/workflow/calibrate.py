@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import calibrated_cell, maximum_likelihood, several
+from mbcacq.calibration import calibrate as calibration
+from mbcacq.calibration import calibrated_cell, several
 from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.compare_methods import Comparison
@@ -93,7 +94,7 @@ def calibrate(
     >>> cell.to_base(q, xyz)  # (P, 3) mm: scanner points in the base frame
     """
     if effects is None:
-        return maximum_likelihood.calibrate(as_observations(data), options)
+        return calibration.calibrate(as_observations(data), options)
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
