@@ -15,7 +15,7 @@ from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Pr
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
