@@ -11,12 +11,11 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
-from mbcacq.calibration.held_out_poses import about_best_station, prediction_error
+from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, prediction_error, rms
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
@@ -137,7 +136,7 @@ def _row(
         why = str(error)
     return ComparisonRow(
         method=name,
-        fit_mm=_rms(d),
+        fit_mm=rms(d),
         bar_mean_mm=None if errors is None else float(errors.mean()),
         bar_max_mm=None if errors is None else float(errors.max()),
         held_out_mm=held_out_mm,
@@ -158,16 +157,14 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
     stations = np.unique(obs.station)
     by_station = len(stations) >= 3
     unit = obs.station if by_station else np.arange(obs.n_poses)
-    square, freedom, count = 0.0, 0, 0
+    distances, freedom = [], 0
     for part in np.array_split(rng.permutation(np.unique(unit)), min(FOLDS, len(np.unique(unit)))):
         test = np.isin(unit, part)
         cell = fit(obs.select(~test))
         d, used = about_best_station(obs.select(test), cell) if by_station else (prediction_error(obs.select(test), cell), 0)
-        square, freedom, count = square + float(np.sum(d**2)), freedom + used, count + len(d)
-    if 3 * count <= freedom:
+        distances.append(d)
+        freedom += used
+    found = HeldOutRms.of(distances, freedom)
+    if not np.isfinite(found.rms_mm):
         raise CalibrationError("the centres left out are too few to judge anything by; measure more poses")
-    return float(np.sqrt(square / count / (1 - freedom / (3 * count))))
-
-
-def _rms(d: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(d**2)))
+    return found.rms_mm

@@ -8,17 +8,17 @@ block of poses and predicts it, block after block. One of them is published in i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
+from mbcacq.calibration.held_out_poses import about_best_station, gross, held_out_masks, prediction_error, rms
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, thin
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.solver import solve
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
 
@@ -26,7 +26,6 @@ BLOCKS = 5
 LEAST_BLOCKS = 3  # fewer say nothing of their scatter
 POSES = 250  # that compete of a longer recording: a block of 50 poses tells 10 % of an rms
 POSES_OF_A_STATION = 3  # fewer say little more than where the station is
-GROSS = 10.0  # medians of the best method, beyond which a centre is an accident that judges nobody
 BEYOND = 2.0  # standard errors by which a method must predict better: blocks lie near fitted poses, and favour what fits there
 
 
@@ -37,24 +36,38 @@ class HeldOutComparison(AsJson):
     Attributes
     ----------
     rms_mm
-        By name: (B,) rms (mm, 3D) of each block. Calibrations that the blocks do not determine are left out.
+        By name: (B,) rms (mm, 3D) of every centre of each block. Calibrations that the blocks do not determine are left out.
     chosen
         Name of the calibration that is to be published.
+    robust_mm
+        The same without gross centres, which every calibration misses; the choice is by these. Empty where no centre is gross.
+    centres, robust_centres
+        Number of all centres, and of those that are not gross.
     """
 
     chosen: str
     rms_mm: Mapping[str, Vector]
+    robust_mm: Mapping[str, Vector] = field(default_factory=dict)
+    centres: int = 0
+    robust_centres: int = 0
 
-    def pooled(self, name: str) -> float:
+    def pooled(self, name: str, robust: bool = False) -> float:
         """The rms (mm, 3D) of all blocks together."""
-        return float(np.sqrt(np.mean(self.rms_mm[name] ** 2)))
+        return float(np.sqrt(np.mean((self.robust_mm if robust else self.rms_mm)[name] ** 2)))
 
     def sentence(self, own: str) -> str:
         """For whoever gets another calibration than ``own``, which was asked for."""
-        better = int(np.sum(self.rms_mm[self.chosen] < self.rms_mm[own]))
+        judged = self.robust_mm or self.rms_mm
+        better = int(np.sum(judged[self.chosen] < judged[own]))
+        robust = (
+            f", robust {self.pooled(self.chosen, True):.3f} against {self.pooled(own, True):.3f} mm over {self.robust_centres} of "
+            f"{self.centres} centres"
+            if self.robust_mm
+            else ""
+        )
         return (
             f"The joints repeat worse than the arm does, so something is not in the model; {self.chosen} predicts held-out poses better "
-            f"({self.pooled(self.chosen):.3f} mm rms against {self.pooled(own):.3f} mm by {own}, better in {better} of "
+            f"({self.pooled(self.chosen):.3f} mm rms against {self.pooled(own):.3f} mm by {own}{robust}, better in {better} of "
             f"{len(self.rms_mm[own])} blocks) and is what this result holds"
         )
 
@@ -92,8 +105,11 @@ def compared_on_held_out(
                 if name == own:
                     return None
                 del distances[name]
-    rms = _rms_without_gross(distances)
-    return HeldOutComparison(_chosen(rms, own), rms)
+    kept = [~gross(*block) for block in zip(*distances.values(), strict=True)]
+    every = {name: np.array([rms(d) for d in of]) for name, of in distances.items()}
+    robust = {name: np.array([rms(d[k]) for d, k in zip(of, kept, strict=True)]) for name, of in distances.items()}
+    used = np.concatenate(kept)
+    return HeldOutComparison(_chosen(robust, own), every, {} if used.all() else robust, len(used), int(used.sum()))
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:
@@ -140,22 +156,12 @@ def _distances(held: Observations, cell: CalibratedCell, by_station: bool) -> np
     return about_best_station(held, cell)[0] if by_station else prediction_error(held, cell)
 
 
-def _rms_without_gross(distances: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
-    """(B,) rms by name, of the centres that not every calibration misses grossly."""
-    blocks = zip(*distances.values(), strict=True)
-    kept = []
-    for block in blocks:
-        least = np.min(block, axis=0)
-        kept.append(least <= GROSS * np.median(least))
-    return {name: np.array([np.sqrt(np.mean(d[k] ** 2)) for d, k in zip(of, kept, strict=True)]) for name, of in distances.items()}
-
-
-def _chosen(rms: Mapping[str, np.ndarray], own: str) -> str:
+def _chosen(errors: Mapping[str, np.ndarray], own: str) -> str:
     """The one that predicts best, if it predicts better than ``own`` by more than the blocks scatter."""
     best, gain = own, 0.0
-    for name in rms:
-        lead = np.log(rms[own] / rms[name])
+    for name in errors:
+        lead = np.log(errors[own] / errors[name])
         mean, error = float(lead.mean()), float(lead.std(ddof=1)) / np.sqrt(len(lead))
-        if mean > max(gain, BEYOND * error) and np.mean(rms[name] ** 2) < np.mean(rms[own] ** 2):
+        if mean > max(gain, BEYOND * error) and np.mean(errors[name] ** 2) < np.mean(errors[own] ** 2):
             best, gain = name, mean
     return best

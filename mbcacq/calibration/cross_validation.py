@@ -11,16 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.held_out_poses import about_best_station, ball_spread, held_out_masks, prediction_error
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, ball_spread, held_out_masks, prediction_error, rms
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 
 SPLITS = ("station", "random", "block")
-GROSS = 10.0  # times the median: such distances are counted apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +41,9 @@ class HeldOut(AsJson):
     median_mm, max_mm : float
         Median and largest of the distances behind rms_mm.
     gross : int
-        Centres beyond 10 medians.
+        Centres beyond 10 medians of their fit.
     rms_without_gross_mm : float
-        3D rms without these centres.
+        The robust figure: 3D rms without these centres.
     per_fit_mm : tuple[float, ...]
         3D rms of each fit.
     """
@@ -83,7 +81,7 @@ def held_out(
         raise ConfigError(f"there is no held-out split '{split}'; give one of {', '.join(SPLITS)}")
     obs = select_phases(observations, options)
     masks = held_out_masks(obs, split, size, fits, seed)
-    distances, freedom, rms, scatter = [], 0, [], []
+    distances, freedom, each, scatter = [], 0, [], []
     for test in masks:
         fitted = calibrate(obs.select(~test), options)
         held = obs.select(test)
@@ -94,26 +92,19 @@ def held_out(
             d, used = prediction_error(held, fitted), 0
         distances.append(d)
         freedom += used
-        rms.append(_rms(d, used))
-    d = np.concatenate(distances)
-    gross = d > GROSS * np.median(d)
+        each.append(rms(d, used))
+    figures = HeldOutRms.of(distances, freedom)
     return HeldOut(
         split=split,
         fits=len(masks),
         poses=int(sum(m.sum() for m in masks)),
-        centres=len(d),
-        rms_mm=_rms(d, freedom),
-        spread_mm=_rms(np.concatenate(scatter), 0) if scatter else None,
-        median_mm=float(np.median(d)),
-        max_mm=float(d.max()),
-        gross=int(gross.sum()),
-        rms_without_gross_mm=_rms(d[~gross], freedom),
-        per_fit_mm=tuple(rms),
+        centres=figures.centres,
+        rms_mm=figures.rms_mm,
+        spread_mm=rms(np.concatenate(scatter)) if scatter else None,
+        median_mm=figures.median_mm,
+        max_mm=figures.max_mm,
+        gross=figures.centres - figures.robust_centres,
+        rms_without_gross_mm=figures.robust_mm,
+        per_fit_mm=tuple(each),
         seed=seed,
     )
-
-
-def _rms(d: np.ndarray, freedom: int) -> float:
-    """3D rms where ``freedom`` of the 3 M coordinates were spent on a fit."""
-    share = 1 - freedom / (3 * len(d)) if len(d) else 0.0
-    return float(np.sqrt(np.mean(d**2) / share)) if share > 0 else float("nan")

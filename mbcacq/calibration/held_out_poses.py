@@ -1,6 +1,12 @@
-"""Poses that take no part in a fit: which they are, and how far off a calibrated cell predicts them."""
+"""Poses that take no part in a fit: which they are, how far off a calibrated cell predicts them, and the figures of that.
+
+Every held-out figure counts every centre that was held out. A robust figure may stand beside it, under that name and with its own count.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +22,54 @@ from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+
+GROSS = 10.0  # medians, beyond which a centre is gross: no model that is compared comes nearer to it
+
+
+@dataclass(frozen=True)
+class HeldOutRms:
+    """Distances of held-out centres from their prediction, in figures.
+
+    Attributes
+    ----------
+    rms_mm : float
+        3D rms of every centre; not a number where fits to the held-out centres took all their freedom.
+    median_mm, max_mm : float
+        Of the distances.
+    centres : int
+        Number of centres.
+    robust_mm : float
+        3D rms without gross centres.
+    robust_centres : int
+        Number of centres that are not gross.
+    """
+
+    rms_mm: float
+    median_mm: float
+    max_mm: float
+    centres: int
+    robust_mm: float
+    robust_centres: int
+
+    @classmethod
+    def of(cls, distances: Sequence[np.ndarray], freedom: int = 0) -> HeldOutRms:
+        """From the distances (M,) mm of each part, each predicted by the rest. freedom: degrees of freedom that fits to them took."""
+        d = np.concatenate(distances)
+        kept = np.concatenate([~gross(part) for part in distances])
+        median, largest = float(np.median(d)), float(d.max())
+        return cls(rms(d, freedom), median, largest, len(d), rms(d[kept], freedom), int(kept.sum()))
+
+
+def gross(*distances: np.ndarray) -> np.ndarray:
+    """(M,) bool of the centres that every compared model misses by more than GROSS medians. distances: (M,) mm by each model."""
+    least = np.min(distances, axis=0)
+    return least > GROSS * np.median(least)
+
+
+def rms(d: np.ndarray, freedom: int = 0) -> float:
+    """3D rms (mm) of distances (M,) where ``freedom`` of the 3 M coordinates were spent on a fit."""
+    share = 1 - freedom / (3 * len(d)) if len(d) else 0.0
+    return float(np.sqrt(np.mean(d**2) / share)) if share > 0 else float("nan")
 
 
 def held_out_masks(obs: Observations, split: str, size: int | None, fits: int | None, seed: int) -> list[np.ndarray]:

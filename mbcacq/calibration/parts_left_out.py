@@ -13,12 +13,11 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, build
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
-from mbcacq.estimation.solver import solve
+from mbcacq.estimation.solver import one_thread, solve
 from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations
 
@@ -60,12 +59,12 @@ def parts_left_out(
     noise : Noise
         That was learnt.
     used : np.ndarray
-        (M,) bool, the centres that are judged.
+        (M,) bool, the centres that are fitted; every centre is judged.
 
     Returns
     -------
     tuple of CentreResiduals, or None
-        As learnt, and drawn anew, of the centres that are judged; None where the model leaves out nothing in this recording, or where the
+        As learnt, and drawn anew, of every centre; None where the model leaves out nothing in this recording, or where the
         parts do not determine base, tool and stations.
     """
     keep = some_poses(placed.fit.observations, MOST_POSES)
@@ -88,16 +87,16 @@ def parts_left_out(
 def _left_out(
     obs: Observations, options: CalibrationOptions, state: CellState, noise: Noise, used: np.ndarray, parts: Sequence[np.ndarray]
 ) -> CentreResiduals:
-    """Residuals at the centres used (M,), each part (M,) predicted by a fit to the others."""
+    """Residuals at all centres, each part (M,) predicted by a fit to those of the others that are used (M,)."""
     lineariser = Lineariser(obs, build(obs, options), options)
     start = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))
     for part in parts:
         at = system(lineariser, start, noise, _weights(obs, used & ~part))
         fitted = solve(at).estimate
-        predicted = _predicted(obs, options, fitted, noise, _weights(obs, used & part))
+        predicted = _predicted(obs, options, fitted, noise, _weights(obs, part))
         residual[part], whitened[part] = predicted.residual[part], predicted.whitened[part]
-    return CentreResiduals(residual[used], whitened[used])
+    return CentreResiduals(residual, whitened)
 
 
 def _predicted(obs: Observations, options: CalibrationOptions, fitted: Estimate, noise: Noise, weights: Weights) -> CentreResiduals:

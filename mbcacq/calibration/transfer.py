@@ -11,22 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.held_out_poses import gross, rms
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import AsJson, Number
@@ -34,7 +33,6 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
-GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitted
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class TransferFigures:
     Attributes
     ----------
     rms_mm : float
-        3D rms over the centres that are no outliers.
+        3D rms over the centres.
     median_mm : float
         Median of the 3D distances.
     chi2_dof : float
@@ -114,6 +112,11 @@ class Transfer(AsJson):
         Misfit of left-out parts; None with known places, and where the recording learnt from left nothing open.
     warnings : tuple[str, ...]
         Sentences.
+    robust : TransferFigures or None
+        ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None where there are none. All
+        other figures are of every centre: what is tested does not choose by what.
+    robust_centres : int
+        The number of centres that are not gross.
     """
 
     place: str
@@ -127,15 +130,22 @@ class Transfer(AsJson):
     warnings: tuple[str, ...] = ()
     recording: str = ""
     parts_left_out: PartsLeftOut | None = None
+    robust: TransferFigures | None = None
+    robust_centres: int = 0
 
     @property
     def text(self) -> str:
         """The figures in plain sentences."""
         how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, all {self.centres} centres, {how}): "
+            f"{self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
+        if self.robust:
+            out.append(
+                f"  robust {micrometres(self.robust.rms_mm)} over {self.robust_centres} of {self.centres} centres, with what was learnt"
+            )
         if left := self.parts_left_out:
             out.append(
                 f"  on parts left out of the fit: {micrometres(left.as_learnt.rms_mm)} with base, tool and stations of the other parts; "
@@ -181,30 +191,34 @@ def check_transfer(
         model = EffectModel(observations.cell.robot)
     tried = _Trial(observations, cell, place)
     best = tried.fit(cell.state.chain, model)
-    used = best.fit.used
-    whole = tried.figures(best, used)
-    plain = tried.figures(tried.fit(alone or cell.state.chain, None), used) if model else whole
+    used, every = best.fit.used, np.ones(len(best.fit.used), bool)
+    whole = tried.figures(best, every)
+    without_effects = tried.fit(alone or cell.state.chain, None) if model else best
+    plain = tried.figures(without_effects, every) if model else whole
+    kept = ~gross(*(np.linalg.norm(one.fit.residual[:, :3], axis=1) for one in (best, without_effects)))
     gains = []
     grouped: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for t in model.terms:
         grouped.setdefault((t.name, ("all",)) if t.name == "unknown" else (t.name, t.where), []).append(t.key)
     for (name, where), keys in grouped.items() if len(grouped) > 1 else ():
         rest = model.select(lambda t, keys=keys: t.key not in keys)
-        without = tried.figures(tried.fit(cell.state.chain, rest), used).rms_mm
+        without = tried.figures(tried.fit(cell.state.chain, rest), every).rms_mm
         gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
     departures = model.departures(observations)
     return Transfer(
         place=place,
         poses=observations.n_poses,
-        centres=int(used.sum()),
+        centres=len(every),
         geometry_alone=plain,
         with_effects=whole,
-        own_geometry=tried.own_geometry(used),
+        own_geometry=tried.own_geometry(every),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
         warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
         parts_left_out=tried.parts_left_out(best, model, used),
+        robust=None if kept.all() else tried.figures(best, kept),
+        robust_centres=int(kept.sum()),
     )
 
 
@@ -257,7 +271,7 @@ class _Trial:
         every = lineariser.everything
         at = system(lineariser, Estimate(start), self.cell.noise, every)
         distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
-        weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))
+        weights = replace(every, centre=(~gross(distance)).astype(float))
         return adjusted_cell(
             options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]), known_noise=True
         )
@@ -295,7 +309,7 @@ class _Trial:
 def _figures(of: CentreResiduals, rank: int) -> TransferFigures:
     distance = np.linalg.norm(of.residual, axis=1)
     chi2 = float(np.sum(of.whitened**2) / max(of.whitened.size - rank, 1))
-    return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
+    return TransferFigures(rms(distance), float(np.median(distance)), chi2)
 
 
 def with_arm(obs: Observations, chain: Chain) -> Observations:

@@ -287,7 +287,7 @@ def verification(v: dict[str, Any]) -> Table:
     An error beyond what the calibration expects of itself is marked.
     """
     table = Table(title="Sphere spacing error / mm, U with k = 2", title_justify="left")
-    for name in ("station", "balls", "certified", "before", "after", "U", "U expected"):
+    for name in ("station", "balls", "certified", "before", "after", "U of judging", "U expected"):
         table.add_column(name, justify="right", no_wrap=True)
     known = [p["judging_mm"] for p in v["places"] if p.get("judging_mm")]
     digits = max(decimal_places(K * min(known)), 0) if known else 3
@@ -332,7 +332,7 @@ def arm_improved(result: dict[str, Any]) -> list[str]:
 def held_out(h: dict[str, Any]) -> str:
     what = {"station": "Leaving each station out", "random": "Random poses held out", "block": "Blocks of poses held out"}[h["split"]]
     spread = f", spread of each ball {micrometres(h['spread_mm'])}" if h.get("spread_mm") is not None else ""
-    gross = f"; {h['gross']} gross, without them {micrometres(h['rms_without_gross_mm'])}" if h["gross"] else ""
+    robust = f"; robust {micrometres(h['rms_without_gross_mm'])} over {h['centres'] - h['gross']}" if h["gross"] else ""
     largest = f"median {micrometres(h['median_mm'])}, largest {micrometres(h['max_mm'])}"
-    rms = f"{micrometres(h['rms_mm'])} (3D rms){spread}, {largest}{gross}"
+    rms = f"{micrometres(h['rms_mm'])} over {h['centres']} centres (3D rms){robust}{spread}, {largest}"
     return f"{what} ({h['fits']} fits, {h['poses']} poses): {rms}"

@@ -80,6 +80,8 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     recordings = between_recordings(full)
     reported = with_common_values(reported, recordings)
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
+    if verdict == "explained" and all(e.trend for e in effects):
+        verdict = "cannot_tell"  # a name without a figure explains nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),

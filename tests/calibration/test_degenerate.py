@@ -9,10 +9,11 @@ import pytest
 from cells import measure, scanner_cell
 from click.testing import CliRunner
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 
 NOISE = (0.005, 0.005, 0.009)
 AXXB = [name for name in COMPARED_METHODS if name.startswith("AX=")]
@@ -128,6 +129,15 @@ def test_one_posture_a_station_is_nothing_to_compare(cell, recording):
     for pairs in ("one", "four", "all"):
         with pytest.raises(CalibrationError, match="first hand-eye transform|one axis"):
             calibrate(obs, CalibrationOptions(method="paper", pairs=pairs))
+
+
+def test_poses_of_one_orientation_are_calibrated_where_the_hand_eye_translation_is_held_or_nothing_is_refused(cell):
+    obs = one_orientation(cell)
+    with pytest.raises(CalibrationError, match="same orientation"):
+        calibrate(obs)
+    held = tuple(f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz"))
+    for options in (CalibrationOptions(hold=held), CalibrationOptions(refuse=False)):
+        assert calibrate(obs, replace(options, kinematics=False)).fit.rms_mm < 0.5
 
 
 @pytest.mark.parametrize("recording", [no_translations, balls_on_one_line], ids=lambda f: f.__name__)

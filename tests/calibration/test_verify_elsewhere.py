@@ -9,10 +9,11 @@ from cells import iiwa, measure, robot, scanner_cell
 from click.testing import CliRunner
 
 import mbcacq
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import micrometres
 from mbcacq.recording.datasets.observation_set import write_observation_set
@@ -142,6 +143,25 @@ def test_figures_are_said_once_where_there_are_no_effects_and_chi2_with_them(res
         f"{own['chi2_dof']:.2f} with a geometry fitted there\n" in done.stdout
     )
     assert "effects" not in done.stdout
+
+
+@pytest.mark.parametrize("place", ["fitted", "known"])
+def test_every_centre_counts_and_a_robust_figure_stands_beside_it(calibrated, other, place):
+    xyz = other.xyz.copy()
+    gross = np.arange(3, len(xyz), 60)
+    xyz[gross] += [0.0, 2.0, 0.0]
+
+    clean, found = (check_transfer(obs, calibrated, place=place) for obs in (other, replace(other, xyz=xyz)))
+
+    assert clean.robust is None
+    judged = np.ones(len(xyz), bool) if place == "fitted" else (other.station < 8)[other.pose]
+    share = int(judged[gross].sum())
+    assert found.centres == clean.centres
+    assert found.robust_centres == found.centres - share
+    assert found.with_effects.rms_mm == pytest.approx(2.0 * np.sqrt(share / found.centres), rel=0.1)
+    assert found.robust.rms_mm == pytest.approx(clean.with_effects.rms_mm, rel=0.1)
+    assert f"all {found.centres} centres" in found.text
+    assert f"robust {micrometres(found.robust.rms_mm)} over {found.robust_centres} of {found.centres} centres" in found.text
 
 
 def test_places_that_were_moved_are_said_and_no_figure_of_the_arm(other, result):

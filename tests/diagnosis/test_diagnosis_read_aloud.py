@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.output.text import words
+from mbcacq.diagnosis.output.text import is_to_be_calibrated_with, words
 from mbcacq.diagnosis.result import Diagnosis, EstimatedNoise, ExclusionLimit, FitFigures, FitSummary, GeometryAlone, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 
 NOISE = EstimatedNoise(scanner_mm=(0.003, 0.003, 0.005), joint_rad=(5e-6,) * 6)
 GEOMETRY = GeometryAlone(
@@ -71,7 +71,11 @@ def test_what_few_poses_leave_uncertain_is_not_said_to_be_above_the_noise():
 
 def test_a_trend_that_does_not_help_states_no_share_and_is_not_to_be_calibrated_with():
     trend = replace(SOFT, held_out_gain=0.27, held_out_gain_std=0.3)
-    text = words(diagnosed("explained", trend, model=("some terms",)))
+    found = diagnosed("cannot_tell", trend, model=("some terms",))
+    assert not is_to_be_calibrated_with(found)
+    assert is_to_be_calibrated_with(diagnosed("explained", SOFT, model=("some terms",)))
+    text = words(found)
+    assert text.startswith("A trend alone")
     assert "held-out data are predicted as well without it" in text
     assert "removes" not in text
     assert "What next: measure more poses: what was found is too weak to predict held-out data" in text

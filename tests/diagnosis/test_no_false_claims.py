@@ -9,15 +9,21 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.evidence.evidence_fit import kept_centres
+from mbcacq.diagnosis.evidence.hypothesis import under
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.output.notes import not_carried_over, rejected_poses, single_place
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.folds import split
+from mbcacq.diagnosis.validation.folds import all_but, split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.verdict import verdict_of
+from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.variance_components import pack
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -161,3 +167,38 @@ def test_what_happened_at_one_station_is_not_judged_by_leaving_that_station_out(
     assert not_carried_over("explained", CrossValidation(little, little, "station", {}), [drift]) == [note]
     (note,) = not_carried_over("explained", CrossValidation(one, one, "block", {}), [drift])
     assert "3.0 times the variance" in note
+
+
+def test_what_does_not_predict_held_out_poses_explains_nothing(plan):
+    problem = model_fit.prepare(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
+    fit = model_fit.fit_model(problem)
+    assert verdict_of(fit) == "explained"
+    alike = PredictiveScore(square=0.1, count=100, chi2=400.0, dof=300.0)
+    useless = CrossValidation(alike, alike, "block", dict.fromkeys(fit.model.names, alike))
+
+    found = conclude(problem, judge(problem, fit, useless))
+
+    assert [e.trend for e in found.effects] == ["held-out data are predicted as well without it"]
+    assert found.verdict == "cannot_tell"
+
+
+def test_without_something_unmodelled_the_names_that_a_part_gave_to_it_are_left_out_as_well():
+    named, elsewhere, reported = (
+        simulated.candidate(*of, [1.0]) for of in (("lost_motion", "A3"), ("lost_motion", "A2"), ("backlash", "A3"))
+    )
+    model = EffectSet(tuple(Member(c, None) for c in (named, elsewhere, reported)))
+    groups = [RandomEffect("A3", "gravity_torque_3", (), np.ones(1)), RandomEffect("link3", "q3", (), np.ones(1))]
+
+    assert all_but(model, groups, "unknown:A3", ("unknown:A3", "backlash")) == ([1, 2], [1])
+    assert all_but(model, groups, "backlash", ("unknown:A3", "backlash")) == ([0, 1], [0, 1])
+
+
+def test_no_centre_stands_out_of_noise_that_is_as_large_as_a_gross_error(plan):
+    problem = model_fit.prepare(simulated.observe(plan, 105, outliers=0.02))
+    coarse = Noise(np.full(3, 4.0), np.full(6, 1e-5), 1e-3)
+
+    def kept(noise):
+        return kept_centres(under(NoisePoint(problem.linear, problem.prior_noise, pack(noise)), (), 0.0))
+
+    assert kept(coarse).all()
+    assert 0 < np.sum(~kept(problem.noise)) < 0.04 * plan.n_centres

@@ -141,7 +141,8 @@ def as_ros_joints(t, q):
 def as_ros_point(t, xyz):
     yield "%time,field.header.seq,field.point.x,field.point.y,field.point.z"
     yield from (
-        f"{EPOCH_NS + round(1e9 * a)},{k},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for k, (a, (x, y, z)) in enumerate(zip(t, xyz))
+        f"{EPOCH_NS + round(1e9 * a)},{k},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}"
+        for k, (a, (x, y, z)) in enumerate(zip(t, xyz, strict=True))
     )
 
 

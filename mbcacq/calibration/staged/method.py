@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.calibration.staged import distance_constraint
 from mbcacq.calibration.staged.ball_pairs import PairDistances, one_pair, several_balls
@@ -18,9 +19,8 @@ from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterBlock, ParameterLayout
-from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solution import system
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -136,6 +136,5 @@ def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCel
         rank=rank,
         iterations=found.iterations,
     )
-    return CalibratedCell.fitted(
-        fit=fit, state=state, preliminary=first, layout=layout, covariance=found.covariance, noise=found.noise, extra={"stages": stages}
-    )
+    estimate = CellEstimate(state=state, layout=layout, covariance=found.covariance, noise=found.noise)
+    return CalibratedCell.fitted(fit, estimate, first, {"stages": stages})

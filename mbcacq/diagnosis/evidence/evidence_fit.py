@@ -45,7 +45,10 @@ def kept_centres(hypothesis: Hypothesis) -> np.ndarray:
     S[:, np.arange(linear.width), np.arange(linear.width)] += linear.rows.row_sigma(noise) ** 2
     square = np.einsum("mr,mr->m", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
     log_density = -0.5 * (square + np.linalg.slogdet(S)[1])
-    return log_density > log_density_of_outlier(linear)
+    # A gross error adds to the noise: where the noise is as large, no centre stands out from it.
+    broad = np.r_[[OPTIONS.outlier_mm] * 3, [OPTIONS.outlier_rad] * 3][: linear.width]
+    S[:, np.arange(linear.width), np.arange(linear.width)] += broad**2
+    return log_density > np.log(OPTIONS.outlier_prior) - 0.5 * np.linalg.slogdet(S)[1]
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,20 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mbcacq.calibration.with_effects import OPTIONS as GROUPS
 from mbcacq.diagnosis.search.bayes_factor import prior_sigma, prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.posterior import Posterior, root_of
 from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
 from mbcacq.estimation.terms import Part, at_poses
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
-from mbcacq.estimation.whitened_columns import ColumnProducts, WhitenedColumns
+from mbcacq.estimation.whitened_columns import ColumnProducts, Posterior, WhitenedColumns, root_of
 from mbcacq.estimation.whitening import CentreWhitening
 
 
@@ -173,8 +172,8 @@ class JointModel:
         start: (G,) to begin with.
         """
         known = self.index(range(len(self.effects)), ())
-        limits = GROUPS.smallest, GROUPS.largest
-        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, GROUPS.ending)
+        limits = unmodelled.OPTIONS.smallest, unmodelled.OPTIONS.largest
+        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, unmodelled.OPTIONS.ending)
 
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:

@@ -9,12 +9,13 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, Alternative, EffectFound, MismatchEntry, ResponseShape
 from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.diagnosis.output.figures import beyond_uncertainty
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
@@ -65,7 +66,7 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = OPEN
-    elif d.verdict == "explained" and d.effects and not findings_and_trends(d.effects)[0]:
+    elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
         sentence = TREND_ALONE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 
@@ -167,13 +168,18 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
     if open_first := what_is_open(d):
         return open_first
-    if d.model:
+    if is_to_be_calibrated_with(d):
         taken = "verify the calibration with what was found on another recording (mbcacq verify), or use it"
         return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
     floor = noise_floor(d)
     if floor.fit_is_the_rest and floor.after_mm > DIAGNOSIS.noticeable * floor.floor_mm:
         return f"measure more poses: what these determine predicts others to {micrometres(floor.after_mm)} only"
     return what_could_hide(d.exclusion_limits)
+
+
+def is_to_be_calibrated_with(d: Diagnosis) -> bool:
+    """Whether a calibration with what was found is the next step: something is kept, and nothing has to be done before."""
+    return bool(d.model) and not what_is_open(d)
 
 
 def what_is_open(d: Diagnosis) -> str:
@@ -301,7 +307,10 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
     # A share that its uncertainty covers is no figure either.
     share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and effect.trend != REMOVES_NOTHING else ""
     out = [f"{at} ({p_value(effect.p_value)}{share})"]
-    values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]
+    parameters, below = beyond_uncertainty(effect.parameters)
+    values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in parameters.items()]
+    if below and not effect.trend:
+        values.append(f"below the expanded uncertainty: {', '.join(below)}")
     shape = [] if effect.shape is None else [size_of_shape(effect, effect.shape)]
     out += [f"  {line}" for line in (*values, *shape, *effect.notes)]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
 from mbcacq.estimation.linear_problem import LinearProblem
 
@@ -90,7 +90,7 @@ def evaluated_fold(
     whole = held.score(groups=()) if everywhere else after
     without = {}
     for key in keys:
-        effects, groups = all_but(model, () if everywhere else random, key)
+        effects, groups = all_but(model, () if everywhere else random, key, keys)
         same = len(effects) == len(model.members) and (everywhere or len(groups) == len(random))
         without[key] = whole if same else held.score(effects, groups)
     return FoldResult(held.score((), ()), after, without, whole)
@@ -119,8 +119,16 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str) -> tuple[list[int], list[int]]:
-    """Numbers of the effects and groups of a fold's model without one effect."""
+def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str, keys: Sequence[str] = ()) -> tuple[list[int], list[int]]:
+    """Numbers of the effects and groups of a fold's model without one effect.
+
+    keys: of all that is reported. Without something unmodelled at a location, what a fold has found there under a name that is not
+    reported is left out as well: it is the same error.
+    """
     location = key.removeprefix("unknown:") if key.startswith("unknown:") else None
-    effects = [j for j, m in enumerate(model.members) if key not in (m.candidate.name, m.label)]
+
+    def stands_for_it(m: Member) -> bool:
+        return key in (m.candidate.name, m.label) or (location in m.candidate.where and not {m.candidate.name, m.label} & set(keys))
+
+    effects = [j for j, m in enumerate(model.members) if not stands_for_it(m)]
     return effects, [g for g, group in enumerate(random) if group.location != location]

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.calibration.causes import misdescribed
-from mbcacq.description.plain_fit import residual_mm
+from mbcacq.calibration.description import misdescribed, residual_mm
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
