@@ -71,7 +71,7 @@ def radius_by_profiles(hand: np.ndarray, circles: Sequence[Circle], radius: floa
     middle, size = np.array([c.centre for c in circles]), np.array([c.radius for c in circles])
     root = np.linalg.inv(np.linalg.cholesky(np.array([c.cofactor for c in circles])))
     T, c, R = start.T_hand_eye[None], start.sphere[None], radius
-    normal, scale = np.eye(10), 1.0
+    whole, size_of, scale = np.eye(10), np.ones(10), 1.0
     for _ in range(ROUNDS):
         section = _Section(hand, middle, size, R)
         off, s = section.missed(T, c)
@@ -83,13 +83,10 @@ def radius_by_profiles(hand: np.ndarray, circles: Sequence[Circle], radius: floa
         weight = 1 / np.maximum(distance / (2 * scale), 1.0)
         normal = np.einsum("pia,p,pib->ab", J, weight, J)
         size_of = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        step = (
-            -np.linalg.lstsq(normal / np.outer(size_of, size_of), np.einsum("pia,p,pi->a", J, weight, r) / size_of, rcond=1e-12)[0]
-            / size_of
-        )
+        whole = normal / np.outer(size_of, size_of)
+        step = -np.linalg.lstsq(whole, np.einsum("pia,p,pi->a", J, weight, r) / size_of, rcond=1e-12)[0] / size_of
         T = se3.transform(T[:, :3, :3] @ se3.rotation_exp(step[None, 3:6]), T[:, :3, 3] + step[:3])
         c, R = c + step[6:9], R + float(np.clip(step[9], -0.1 * radius, 0.1 * radius))
-    whole = normal / np.outer(size_of, size_of)
     if not np.isfinite(whole).all() or np.linalg.cond(whole) > 1e12:
         return R, np.inf
     return R, float(scale * np.sqrt(np.linalg.inv(whole)[9, 9]) / size_of[9])
