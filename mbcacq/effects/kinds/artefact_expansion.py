@@ -8,8 +8,8 @@ from mbcacq.effects.effect import Candidate, Missing, Support, plain_effect
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
-# Aluminium, of which the softest artefacts are, grows by 24 ppm a kelvin, and rooms are within 40 K of 20 degrees; a certificate that is off
-# by a scale is off by as much again.
+# Aluminium, of which the softest artefacts are, grows by 24 ppm a kelvin, and rooms are within 40 K of 20 degrees; a certificate that is
+# off by a scale is off by as much again.
 LARGEST = Support(2e3, "no artefact is off by more than 0.2 % by its temperature")  # ppm
 DECLARED = Declaration(challenge=Challenge(number=15))
 

@@ -42,7 +42,9 @@ def candidates(context: Context) -> list[Candidate]:
         hyper = Hyperparameter(
             "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred, kind=ORDER
         )
-        out.append(Candidate(NAME, (f"A{i + 1}",), f"q{i + 1}", rows_of(i), report_of(f"A{i + 1}", q), hyper, several=True, support=LARGEST))
+        out.append(
+            Candidate(NAME, (f"A{i + 1}",), f"q{i + 1}", rows_of(i), report_of(f"A{i + 1}", q), hyper, several=True, support=LARGEST)
+        )
     return out
 
 

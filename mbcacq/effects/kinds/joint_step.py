@@ -9,8 +9,8 @@ from mbcacq.effects.effect import Candidate, StandstillRows, Support, number
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "joint_step"
-# A hub or a key slips by the play of its fit (ISO 286, H8/h9 at a diameter of 20 mm: 0.085 mm, some mrad). A tooth of a belt or a turn of the
-# motor that was lost is degrees: then the arm was mastered anew, and both parts are two recordings.
+# A hub or a key slips by the play of its fit (ISO 286, H8/h9 at a diameter of 20 mm: 0.085 mm, some mrad). A tooth of a belt or a turn of
+# the motor that was lost is degrees: then the arm was mastered anew, and both parts are two recordings.
 LARGEST = Support(5e-3, "a joint that jumps by more than 5 mrad was mastered anew, and both parts are two recordings")
 DECLARED = Declaration(acts_in_time=True, challenge=Challenge(number=8))
 

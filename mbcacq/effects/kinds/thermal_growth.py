@@ -9,8 +9,8 @@ from mbcacq.effects.functions import DescribedPart, Function, Product, of, scale
 from mbcacq.effects.over_time import time_constant, time_constant_std
 
 NAME = "thermal_growth"
-# Aluminium grows by 24e-6 of its length a kelvin, steel by half of that; joints warm up by 40 K at most, and the temperature that is recorded
-# may be another one.
+# Aluminium grows by 24e-6 of its length a kelvin, steel by half of that; joints warm up by 40 K at most, and the temperature that is
+# recorded may be another one.
 LARGEST_STRAIN = 24e-6 * 60.0
 LIMIT = "no link of metal grows by so much of its length"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s", "temperature"), challenge=Challenge(number=9))
