@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.effects.catalogue import declaration
 from mbcacq.effects.effect import Candidate, Support, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.model.cell import Drive, RobotModel
+from mbcacq.model.cell import RobotModel
 from mbcacq.quantities import K
 
 
@@ -34,16 +34,11 @@ def joints_without_drive(candidate: Candidate, robot: RobotModel) -> str:
     permitted = declaration(candidate.name).drives
     if not permitted:
         return ""
-    stated = [drive_of(robot, int(at[1:]) - 1) for at in candidate.where if at[1:].isdigit()]
+    stated = [robot.drive(int(at[1:]) - 1) for at in candidate.where if at[1:].isdigit()]
     wrong = [drive for drive in stated if drive not in permitted]
     if not wrong:
         return ""
     return "the robot file states no drive of the joint" if wrong[0] is None else f"the drive of the joint is '{wrong[0]}'"
-
-
-def drive_of(robot: RobotModel, joint: int) -> Drive | None:
-    """What the description says that moves a joint."""
-    return robot.drives[joint] if joint < len(robot.drives) else None
 
 
 def with_drives_for(robot: RobotModel, name: str, where: tuple[str, ...]) -> RobotModel:
@@ -51,7 +46,7 @@ def with_drives_for(robot: RobotModel, name: str, where: tuple[str, ...]) -> Rob
     permitted = declaration(name).drives
     if not permitted:
         return robot
-    drives = [drive_of(robot, i) for i in range(robot.n)]
+    drives = [robot.drive(i) for i in range(robot.n)]
     for at in where:
         drives[int(at[1:]) - 1] = permitted[0]
     return replace(robot, drives=tuple(drives))

@@ -61,6 +61,10 @@ class RobotModel:
     def n(self) -> int:
         return self.chain.n
 
+    def drive(self, joint: int) -> Drive | None:
+        """What moves a joint, by its index; None where the source does not say."""
+        return self.drives[joint] if joint < len(self.drives) else None
+
     @property
     def of_flange_poses(self) -> bool:
         """Whether only the poses of the flange are known, no joints and no links."""
