@@ -24,14 +24,15 @@ from hand_eye_data import ARTEFACT_IN_SCANNER, BALLS, POSE_SIGMA, TARGET_IN_BASE
 from profile_data import observed, profiles
 
 import mbcacq
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS, artefact_poses
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.identifiability import base_columns
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import PAIRS, Noise
+from mbcacq.estimation.options import PAIRS, CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.solution import system
 from mbcacq.geometry import se3

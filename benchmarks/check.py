@@ -32,7 +32,7 @@ from mbcacq_fakes.effects import CATALOGUED, UNCATALOGUED
 from threadpoolctl import threadpool_limits
 
 import mbcacq
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.interim_check.e_process import EProcess

@@ -23,9 +23,9 @@ import cells
 import numpy as np
 from bench import HERE, MBCACQ
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import ArmPrior
+from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.fleet.arm_prior import population, read_priors
 from mbcacq.fleet.control_chart import arm_types, outliers
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording

@@ -26,8 +26,10 @@ from bench import MBCACQ, PLANS, ROOT, option
 from scipy.stats import chi2
 
 import mbcacq
-from mbcacq.calibration import CalibrationOptions, calibrate, verify
+from mbcacq.calibration.calibrated_cell import verify
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.devices import load_driver
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from mbcacq.model import shipped
 from mbcacq.model.robot_import import import_robot

@@ -11,8 +11,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, verify
+from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.staged.ball_pairs import several_balls
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from paper.cells import NOISE, Effect, catalogue, plans, record, write_figure
 from paper.experiment import repeatability

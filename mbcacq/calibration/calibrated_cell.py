@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,7 +13,7 @@ from mbcacq.calibration import notebook, result_io, verification
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.length_budget import length_budget
 from mbcacq.calibration.observability import arm_indices
-from mbcacq.calibration.observation_fit import ObservationFit, Parameter
+from mbcacq.calibration.observation_fit import ObservationFit, Parameter, adjusted_fit, parameters_of
 from mbcacq.calibration.result_content import result_file
 from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
 from mbcacq.calibration.same_arm import refuse_other_arm
@@ -24,9 +24,9 @@ from mbcacq.calibration.verified_lengths import verified_lengths
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import identifiability
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import Noise
-from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json
 from mbcacq.model.observations import Observations
@@ -91,15 +91,7 @@ class CalibratedCell(CellEstimate):
 
     @classmethod
     def fitted(
-        cls,
-        *,
-        fit: ObservationFit,
-        state: CellState,
-        preliminary: CellState,
-        layout: ParameterLayout,
-        covariance: np.ndarray,
-        noise: Noise,
-        extra: Mapping[str, Any] | None = None,
+        cls, fit: ObservationFit, estimate: CellEstimate, preliminary: CellState, extra: Mapping[str, Any] | None = None
     ) -> CalibratedCell:
         """The cell of these observations with what a fit found of it.
 
@@ -107,8 +99,8 @@ class CalibratedCell(CellEstimate):
         ----------
         fit
             The observations with residuals and weights.
-        state, preliminary, layout, covariance, noise
-            As the attributes.
+        estimate, preliminary
+            State, layout, covariance, noise and effects; the nominal arm.
         extra
             What else result.json will hold.
 
@@ -119,16 +111,13 @@ class CalibratedCell(CellEstimate):
         """
         cell = fit.observations.cell
         return cls(
+            **{one.name: getattr(estimate, one.name) for one in fields(CellEstimate)},
             robot=cell.robot.name,
             nominal=cell.robot.chain,
             limits=cell.robot.limits,
-            state=state,
             preliminary=preliminary,
             stations=tuple(s.id for s in cell.stations),
             ball_ids=cell.ball_ids,
-            layout=layout,
-            covariance=covariance,
-            noise=noise,
             simulated=cell.simulated,
             extra=extra or {},
             own_fit=fit,
@@ -252,7 +241,7 @@ class CalibratedCell(CellEstimate):
         """Every parameter, blocks in order; balls have only their free ones."""
         if self.own_fit is None:
             return [from_fields(Parameter, p) for p in self.extra["parameters"]]
-        return result_io.parameters_of(self.own_fit, self.layout, self.state, self.covariance)
+        return parameters_of(self.own_fit, self.layout, self.state, self.covariance)
 
     @property
     def observability(self) -> dict[str, float]:
@@ -385,6 +374,11 @@ class CalibratedCell(CellEstimate):
 
     def _repr_html_(self) -> str:
         return result_io.html(self.to_dict()) + notebook.paragraph(repr(self))
+
+
+def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment, known_noise: bool = False) -> CalibratedCell:
+    """The calibrated cell of an adjustment; the arguments are those of ``adjusted_fit``."""
+    return CalibratedCell.fitted(*adjusted_fit(options, adjustment, known_noise), adjustment.preliminary)
 
 
 def verify(

@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.change import in_words, kinds_of_change
 from mbcacq.calibration.influence import deletions
 from mbcacq.description import plain_fit, wrong_descriptions
 from mbcacq.estimation.solution import Solution
+from mbcacq.estimation.step_test import StepTest
 from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
 
@@ -23,8 +25,6 @@ SCATTER = 6.0  # standard deviations of chi square, within which a misfit needs 
 APART = 20.0  # of chi square to the best story of another kind: odds of e^10; a wrong name is worse than none
 SAME = 20.0  # of chi square: moments that are this near are said as a range
 MOST_POSES = 400  # whose moments are looked at
-LEAST_SIDE = 3  # poses on either side of a moment
-SINGULAR = 1e-9  # share of the largest eigenvalue
 OTHER_ARM = 0.2  # of the misfit that another arm must leave at most
 NEAR_BALLS = 5.0  # times noise and uncertainty of the certificate: how well distances between balls must agree
 MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
@@ -112,80 +112,20 @@ def stories(strict: Solution) -> Iterator[Story]:
     yield Story("pose", text, float(deleted.chi2[pose]), price, number)
 
 
-class _Columns:
-    """Further columns of a solved linear problem, summed over poses in the order of measuring: what each would gain."""
-
-    def __init__(self, solution: Solution) -> None:
-        lineariser = solution.lineariser
-        self.obs = lineariser.obs
-        time = self.obs.time_s if self.obs.time_s is not None else np.arange(self.obs.n_poses)
-        self.order = np.argsort(time, kind="stable")
-        order = lineariser.rows.order
-        back = np.empty(len(order), dtype=int)
-        back[order] = np.arange(len(order))
-        turn = back[self.order]  # blocks of the solution in the order of measuring
-        X, g, self.normal = solution.X[turn], solution.normal.size, solution.normal
-        self.residual, self.station_columns, self.columns = X[..., -1], X[..., g : g + 6], X[..., :g]
-        self.run = lineariser.rows.run[turn]
-        y = self.station_columns @ self.normal.station_root[self.run]
-        self.reduced, self.y = self.columns - y @ self.normal.reduced[self.run], y
-        self.covariance = np.linalg.inv(self.normal.information)
-
-    def gains(self, Z: np.ndarray) -> np.ndarray:
-        """(P + 1,) fall of chi square by columns Z (P, m, k) that act from the t-th measured pose on; the last of none."""
-        square, right, with_g = (_from_the_end(np.swapaxes(Z, 1, 2) @ other) for other in (Z, self.residual[..., None], self.reduced))
-        left = square - with_g @ self.covariance @ np.swapaxes(with_g, 1, 2)
-        for s in range(len(self.normal.station_root)):
-            here = (self.run == s)[:, None, None]
-            with_y = _from_the_end(np.swapaxes(Z, 1, 2) @ (self.y * here))
-            left = left - with_y @ np.swapaxes(with_y, 1, 2)
-        value, vector = np.linalg.eigh(left)
-        scale = np.trace(square, axis1=1, axis2=2)[:, None]
-        along = np.einsum("tkj,tk->tj", vector, right[..., 0])
-        kept = value > SINGULAR * np.maximum(scale, 1e-300)
-        return np.sum(np.where(kept, along**2 / np.where(kept, value, 1.0), 0.0), axis=1)
-
-    def moment(self, gains: np.ndarray, among: np.ndarray) -> tuple[float, str]:
-        """The largest gain among moments, and between which poses it lies."""
+def _moments(strict: Solution) -> Iterator[Story]:
+    """The best moment of each kind of change that has a story."""
+    test, obs = StepTest(strict), strict.lineariser.obs
+    for kind in kinds_of_change(strict):
+        among = np.flatnonzero(kind.among)
+        if kind.name not in ("station", "mount", "joint") or not len(among):
+            continue
+        gains = test.of(kind.columns).gain
         best = among[int(np.argmax(gains[among]))]
         near = among[gains[among] > gains[best] - SAME]
-        before, after = (int(self.obs.pose_id[self.order[t]]) for t in (near.min() - 1, near.max()))
-        return float(gains[best]), f"between pose {before} and pose {after}"
-
-
-def _from_the_end(per_pose: np.ndarray) -> np.ndarray:
-    """(P + 1, ...) sums over the t-th and all later poses."""
-    total = np.zeros((len(per_pose) + 1, *per_pose.shape[1:]))
-    total[:-1] = np.cumsum(per_pose[::-1], axis=0)[::-1]
-    return total
-
-
-def _moments(strict: Solution) -> Iterator[Story]:
-    of, names = _Columns(strict), strict.lineariser.layout.names
-    every = np.arange(LEAST_SIDE, of.obs.n_poses - LEAST_SIDE + 1)
-    for s in range(len(of.normal.station_root)):
-        here = np.flatnonzero(of.run == s)
-        among = here[LEAST_SIDE : len(here) - LEAST_SIDE + 1]
-        if len(among):
-            gain, when = of.moment(of.gains(of.station_columns * (of.run == s)[:, None, None]), among)
-            place = of.obs.cell.stations[int(strict.lineariser.rows.stations[s])].id
-            yield Story(
-                "station", f"the place of the artefact at station {place} changed {when}; measure that station anew", gain, _price(6, of)
-            )
-    if not len(every):
-        return
-    mount = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
-    gain, when = of.moment(of.gains(of.columns[..., mount]), every)
-    yield Story("mount", f"the scanner's mount slipped {when}; fasten it and measure anew", gain, _price(6, of))
-    for j, name in enumerate(names):
-        if name.startswith("theta_"):
-            gain, when = of.moment(of.gains(of.columns[..., j : j + 1]), every)
-            axis = int(name.removeprefix("theta_"))
-            yield Story("joint", f"the zero of joint A{axis} stepped {when}; check its mastering", gain, _price(1, of))
-
-
-def _price(freedom: int, of: _Columns) -> float:
-    return freedom + 2 * float(np.log(of.obs.n_poses))
+        before, after = (int(obs.pose_id[test.order[t]]) for t in (near.min() - 1, near.max()))
+        what, to_do = in_words(kind.name, kind.where)
+        price = kind.columns.shape[2] + 2 * float(np.log(obs.n_poses))
+        yield Story(kind.name, f"{what} between pose {before} and pose {after}; {to_do}", float(gains[best]), price)
 
 
 def exchanged_balls(obs: Observations) -> str:

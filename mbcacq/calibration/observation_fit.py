@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
 
+from mbcacq.calibration.cell_estimate import CellEstimate
+from mbcacq.estimation import parameters, unknown_noise
+from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.solution import Solution
+from mbcacq.geometry import se3
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
+
+CORRELATED = 0.95
 
 Status = Literal["free", "prior", "marginal", "held"]
 
@@ -155,3 +165,115 @@ class ObservationFit:
         """Whether any pose of ``observations`` is among those fitted: the same number with the same joint angles."""
         mine = {int(n): q for n, q in zip(self.observations.pose_id, self.observations.q, strict=True)}
         return any(int(n) in mine and np.array_equal(mine[int(n)], q) for n, q in zip(observations.pose_id, observations.q, strict=True))
+
+
+def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_noise: bool = False) -> tuple[ObservationFit, CellEstimate]:
+    """The fit of the observations that were adjusted, and the cell that it estimates.
+
+    Parameters
+    ----------
+    options : CalibrationOptions
+        Under which the observations were adjusted.
+    adjustment : Adjustment
+        Converged.
+    known_noise : bool
+        Whether the noise is known before the recording, not estimated by it.
+    """
+    lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
+    obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
+    C = unknown_noise.under_the_noise(solution) if known_noise else unknown_noise.covariance(solution)
+    station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
+    station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
+    rank = layout.size + int(normal.station_rank.sum())
+    fit = ObservationFit(
+        observations=obs,
+        options=options,
+        coefficients=solution.estimate.coefficients,
+        station_covariance=station_covariance,
+        weights=weights,
+        residual=solution.linear.residual,
+        whitened=solution.whitened_residual,
+        chi2=solution.cost,
+        dof=int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank,
+        rank=rank,
+        iterations=solution.iterations,
+        undetermined=tuple(adjustment.found),
+        rejected=_rejected(obs, solution, weights),
+        correlated=_correlated(layout.names, C),
+    )
+    return fit, CellEstimate(state=solution.estimate.state, layout=layout, covariance=C, noise=adjustment.noise)
+
+
+def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[Rejected, ...]:
+    size = np.linalg.norm(solution.linear.residual[:, :3], axis=1)
+    out = [
+        Rejected(pose=int(obs.pose_id[p]), distance_mm=float(size[obs.pose == p].max(initial=0.0)))
+        for p in np.flatnonzero(weights.pose == 0)
+    ]
+    single = np.flatnonzero((weights.centre == 0) & (weights.pose[obs.pose] > 0))
+    return (
+        *out,
+        *(Rejected(pose=int(obs.pose_id[obs.pose[m]]), ball=obs.cell.ball_ids[obs.ball[m]], distance_mm=float(size[m])) for m in single),
+    )
+
+
+def _correlated(names: Sequence[str], C: np.ndarray) -> tuple[tuple[str, str, float], ...]:
+    std = np.sqrt(np.diag(C))
+    correlation = C / np.outer(std, std)
+    i, j = np.nonzero(np.triu(np.abs(correlation) > CORRELATED, 1))
+    order = np.argsort(-np.abs(correlation[i, j]))
+    pairs = [(int(i[k]), int(j[k])) for k in order]
+    pairs = [(a, b) for a, b in pairs if not names[a].startswith("unknown:") and not names[b].startswith("unknown:")]
+    return tuple((names[a], names[b], float(correlation[a, b])) for a, b in pairs)
+
+
+def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState, covariance: np.ndarray) -> list[Parameter]:
+    """Every parameter of a fit, blocks in order; balls have only their free ones."""
+    cell, T = fit.observations.cell, state.T_flange_scanner
+    turn = se3.rotation_log((se3.inverse(cell.T_flange_scanner) @ T)[:3, :3])
+    mount, moved = np.concatenate([T[:3, 3], turn]), np.concatenate([T[:3, 3] - cell.T_flange_scanner[:3, 3], turn])
+    values = [state.chain.rows.reshape(-1), mount, state.balls.reshape(-1), *fit.coefficients]
+    arm, balls = state.chain.rows - cell.robot.chain.rows, state.balls - cell.ball_centres
+    errors = [arm.reshape(-1), moved, balls.reshape(-1), *fit.coefficients]
+    std = iter(_standard_deviations(layout.names, T, covariance))
+    return [
+        Parameter(
+            name=name,
+            value=float(value[i]),
+            error=float(error[i]),
+            unit=block.units[i],
+            std=next(std) if block.free[i] else None,
+            status=_status(block, i, fit.options.kinematics),
+            reason=block.why.get(name, ""),
+            **_prior(block, i, fit.options.kinematics),
+        )
+        for block, value, error in zip(layout.blocks, values, errors, strict=True)
+        for i, name in enumerate(block.names)
+        if block.free[i] or name in block.why
+    ]
+
+
+def _standard_deviations(names: Sequence[str], T_flange_scanner: np.ndarray, covariance: np.ndarray) -> list[float]:
+    """Standard deviations of the free parameters; the hand-eye translation along the flange's axes."""
+    C = covariance.copy()
+    hand_eye = [names.index(f"hand_eye.{c}") for c in "xyz" if f"hand_eye.{c}" in names]
+    if len(hand_eye) == 3:
+        R = T_flange_scanner[:3, :3]
+        block = np.ix_(hand_eye, hand_eye)
+        C[block] = R @ C[block] @ R.T
+    return np.sqrt(np.diag(C)).tolist()
+
+
+def _status(block: parameters.ParameterBlock, i: int, identified: bool) -> Status:
+    if not block.free[i]:
+        return "held"
+    if block.name == "chain" and block.group is not None and not identified:
+        return "marginal"
+    return "prior" if np.isfinite(block.sigma[i]) else "free"
+
+
+def _prior(block: parameters.ParameterBlock, i: int, identified: bool) -> dict[str, float]:
+    """Standard deviation and mean of the prior of a parameter's error, where one was used."""
+    if _status(block, i, identified) != "prior":
+        return {}
+    return {"prior_std": float(block.sigma[i]), "prior_mean": 0.0 if block.centre is None else float(block.centre[i])}

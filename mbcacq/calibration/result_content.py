@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration import result_io
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observability import arm_indices
-from mbcacq.calibration.observation_fit import ObservationFit
+from mbcacq.calibration.observation_fit import ObservationFit, parameters_of
 from mbcacq.calibration.result_file import (
     FORMAT,
     BallInResult,
@@ -69,7 +68,7 @@ def result_file(
         stations=tuple(stations),
         balls=tuple(BallInResult(b, state.balls[i]) for i, b in enumerate(cell.ball_ids)),
         preliminary=Preliminary(preliminary.T_flange_scanner),
-        parameters=tuple(result_io.parameters_of(fit, estimate.layout, state, estimate.covariance)),
+        parameters=tuple(parameters_of(fit, estimate.layout, state, estimate.covariance)),
         names=estimate.names,
         covariance=estimate.covariance,
         noise=noise,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.joint_file import result_of_one, split_number
-from mbcacq.calibration.observation_fit import ObservationFit, Parameter, Status
+from mbcacq.calibration.observation_fit import Parameter
 from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
@@ -19,65 +19,12 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.files.atomic_write import finish_set
-from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import damaged, read_json
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
-
-
-def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState, covariance: np.ndarray) -> list[Parameter]:
-    """Every parameter of a fit, blocks in order; balls have only their free ones."""
-    cell, T = fit.observations.cell, state.T_flange_scanner
-    turn = se3.rotation_log((se3.inverse(cell.T_flange_scanner) @ T)[:3, :3])
-    mount, moved = np.concatenate([T[:3, 3], turn]), np.concatenate([T[:3, 3] - cell.T_flange_scanner[:3, 3], turn])
-    values = [state.chain.rows.reshape(-1), mount, state.balls.reshape(-1), *fit.coefficients]
-    arm, balls = state.chain.rows - cell.robot.chain.rows, state.balls - cell.ball_centres
-    errors = [arm.reshape(-1), moved, balls.reshape(-1), *fit.coefficients]
-    std = iter(_standard_deviations(layout.names, T, covariance))
-    return [
-        Parameter(
-            name=name,
-            value=float(value[i]),
-            error=float(error[i]),
-            unit=block.units[i],
-            std=next(std) if block.free[i] else None,
-            status=_status(block, i, fit.options.kinematics),
-            reason=block.why.get(name, ""),
-            **_prior(block, i, fit.options.kinematics),
-        )
-        for block, value, error in zip(layout.blocks, values, errors, strict=True)
-        for i, name in enumerate(block.names)
-        if block.free[i] or name in block.why
-    ]
-
-
-def _standard_deviations(names: Sequence[str], T_flange_scanner: np.ndarray, covariance: np.ndarray) -> list[float]:
-    """Standard deviations of the free parameters; the hand-eye translation along the flange's axes."""
-    C = covariance.copy()
-    hand_eye = [names.index(f"hand_eye.{c}") for c in "xyz" if f"hand_eye.{c}" in names]
-    if len(hand_eye) == 3:
-        R = T_flange_scanner[:3, :3]
-        block = np.ix_(hand_eye, hand_eye)
-        C[block] = R @ C[block] @ R.T
-    return np.sqrt(np.diag(C)).tolist()
-
-
-def _status(block: parameters.ParameterBlock, i: int, identified: bool) -> Status:
-    if not block.free[i]:
-        return "held"
-    if block.name == "chain" and block.group is not None and not identified:
-        return "marginal"
-    return "prior" if np.isfinite(block.sigma[i]) else "free"
-
-
-def _prior(block: parameters.ParameterBlock, i: int, identified: bool) -> dict[str, float]:
-    """Standard deviation and mean of the prior of a parameter's error, where one was used."""
-    if _status(block, i, identified) != "prior":
-        return {}
-    return {"prior_std": float(block.sigma[i]), "prior_mean": 0.0 if block.centre is None else float(block.centre[i])}
 
 
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:

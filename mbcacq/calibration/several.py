@@ -9,12 +9,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects, refuse_unusable
 from mbcacq.calibration.nominal_arm import with_nominal_arm
-from mbcacq.calibration.observation_fit import ObservationFit
+from mbcacq.calibration.share import share_of
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import ON_THE_ARM
@@ -24,9 +23,8 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import BetweenRecordings
-from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
-from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
 from mbcacq.estimation.solution import system
@@ -174,92 +172,7 @@ def _as_held(layout: ParameterLayout, whole: CalibratedCell) -> ParameterLayout:
 
 def shares(whole: CalibratedCell, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[CalibratedCell, ...]:
     """The share of each recording in a calibration of all. parts: each recording by itself, as it was fitted alone."""
-    return tuple(replace(_share(whole, parts, r, options), calibrate_again=calibrate_with_effects) for r in range(len(parts)))
-
-
-def _share(whole: CalibratedCell, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> CalibratedCell:
-    together, part = whole.fit.observations, parts[r]
-    obs = part.lineariser.obs
-    poses = np.flatnonzero(together.recording == r)
-    centres = np.isin(together.pose, poses)
-    stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in parts], r))
-    balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in parts], r))
-    state = replace(
-        whole.state,
-        T_flange_scanner=whole.state.T_flange_scanner[r],
-        T_base_station=whole.state.T_base_station[stations],
-        balls=whole.state.balls[balls],
+    cells = (
+        CalibratedCell.fitted(*share_of(whole.fit, whole, parts, r, options), part.preliminary, whole.extra) for r, part in enumerate(parts)
     )
-    kept = () if whole.effects is None else tuple(t.names for t in whole.effects.terms)
-    layout, index, coefficients = _own_layout(whole, build(obs, replace(options, hold=())), r, balls, kept)
-    weights = Weights(whole.fit.weights.centre[centres], whole.fit.weights.pose[poses])
-    used = (weights.centre > 0) & (weights.pose[obs.pose] > 0)
-    rank = layout.size - int(layout.blocks[0].free.sum()) - sum(len(names) for names in kept)
-    rank += int(np.sum(np.linalg.matrix_rank(whole.fit.station_covariance[stations])))
-    whitened = whole.fit.whitened[centres]
-    fit = ObservationFit(
-        observations=obs,
-        options=options,
-        coefficients=coefficients,
-        station_covariance=whole.fit.station_covariance[stations],
-        weights=weights,
-        residual=whole.fit.residual[centres],
-        whitened=whitened,
-        chi2=float(np.sum(whitened**2)),
-        dof=max(int(used.sum()) * whitened.shape[1] - rank, 0),
-        rank=rank,
-        iterations=whole.fit.iterations,
-        undetermined=whole.fit.undetermined,
-    )
-    noise = _own_noise(whole.noise, together, int(poses[0]))
-    share = CalibratedCell.fitted(
-        fit=fit,
-        state=state,
-        preliminary=part.preliminary,
-        layout=layout,
-        covariance=whole.covariance[np.ix_(index, index)],
-        noise=noise,
-        extra=whole.extra,
-    )
-    return replace(share, effects=whole.effects)
-
-
-def _own_noise(noise: Noise, together: Observations, pose: int) -> Noise:
-    if together.noise_scale is None:
-        return noise
-    ratio = together.noise_scale[pose]
-    return Noise(noise.point * ratio[:3], noise.joint * ratio[3:], noise.turn)
-
-
-def _own_layout(
-    whole: CalibratedCell, own: ParameterLayout, r: int, balls: slice, kept: Sequence[tuple[str, ...]]
-) -> tuple[ParameterLayout, np.ndarray, tuple[np.ndarray, ...]]:
-    """The parameters of recording ``r`` as they were free with all, their (g,) indices there, and the coefficients of the effects kept."""
-    blocks = whole.layout.blocks
-    position = np.cumsum(np.concatenate([b.free for b in blocks])) - 1
-    start = np.cumsum([0] + [len(b.names) for b in blocks])
-    mine = [
-        np.arange(start[0], start[1]),
-        np.arange(start[1] + 6 * r, start[1] + 6 * r + 6),
-        np.arange(start[2] + 3 * balls.start, start[2] + 3 * balls.stop),
-    ]
-    arm, mount, ball = own.blocks[:3]
-    free = np.concatenate([b.free for b in blocks])
-    prefix = f"hand_eye[{r + 1}]."
-    why = {name.replace(prefix, "hand_eye."): text for name, text in blocks[1].why.items() if name.startswith(prefix)}
-    mount = replace(mount, free=free[mine[1]], why=why | (mount.why if len(HAND_EYE) * 2 > len(blocks[1].names) else {}))
-    out = [blocks[0], mount, replace(ball, free=free[mine[2]])]
-    coefficients = []
-    for n, b in enumerate(blocks[3:], 3):
-        if b.names in kept:
-            out.append(b)
-            mine.append(np.arange(start[n], start[n + 1]))
-            coefficients.append(whole.fit.coefficients[n - 3])
-    assert arm.names == blocks[0].names, "the recordings are of one arm"
-    chosen = np.concatenate(mine)
-    return ParameterLayout(tuple(out)), position[chosen[free[chosen]]], tuple(coefficients)
-
-
-def _range(counts: Sequence[int], r: int) -> tuple[int, int]:
-    end = np.cumsum(counts)
-    return int(end[r] - counts[r]), int(end[r])
+    return tuple(replace(cell, calibrate_again=calibrate_with_effects) for cell in cells)

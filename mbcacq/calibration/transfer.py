@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.held_out_poses import gross, rms
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error

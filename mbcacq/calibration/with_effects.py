@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
@@ -25,7 +24,7 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.random_effect_sizes import Ending, sizes_by_marginal_likelihood
+from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise
 from mbcacq.estimation.terms import Term
@@ -42,10 +41,7 @@ class GroupSizeOptions:
     most_poses: int = 600  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
     noise_steps: int = 1  # of the noise in each; two lead to the same within the noise's uncertainty
-    ending: Ending = Ending(60, least_rise=0.1)  # of the fixed point in each; noise and coefficients are found anew by thousands of poses
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
-    smallest: float = 1e-4  # of a group's prior size: it is dropped below
-    largest: float = 10.0  # times a group's prior size: no group is believed to be larger
     fixed_units: tuple[str, ...] = ("rad/Nm",)  # physical priors, whose size is not estimated
 
 
@@ -330,7 +326,7 @@ class _Stage:
         weight[first:] = 1 / np.concatenate([g.sigma * s for g, s in zip(self.groups, self.scale, strict=True)]) ** 2
         information = normal.information - np.diag(weight)  # of the data, and of the priors of everything else
         right = normal.gradient + weight * now + information @ now  # for the groups' coefficients themselves, not their changes
-        smallest = OPTIONS.smallest if last else OPTIONS.least_before_last
+        smallest = groups.OPTIONS.smallest if last else OPTIONS.least_before_last
         scale = group_scales(information, right, first, self.groups, self.scale, smallest)
         scale = scale if last else np.maximum(scale, smallest)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
@@ -368,7 +364,7 @@ def group_scales(
     b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
     fixed = np.array([given_size(g) for g in several])
     begin = np.where(fixed, 1.0, start)
-    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, OPTIONS.largest), OPTIONS.ending, fixed)
+    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, groups.OPTIONS.largest), groups.OPTIONS.ending, fixed)
 
 
 def given_size(t: EffectTerm) -> bool:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.calibration import CalibrationOptions
 from mbcacq.calibration.verification import ball_positions, verification_poses
 from mbcacq.design.candidate_views import CandidateView
 from mbcacq.design.optimality_criteria import AOptimality, Criterion, DOptimality
@@ -15,7 +14,7 @@ from mbcacq.design.simulated_observations import planned_noise, planned_observat
 from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import Noise
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.whitening import Whitening
 from mbcacq.model.observations import Observations

@@ -9,8 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, Noise
-from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.verification import ball_positions, verification_poses
 from mbcacq.design.planned_scope import planned_scope
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
@@ -19,6 +18,7 @@ from mbcacq.estimation import parameters as blocks
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solution import system

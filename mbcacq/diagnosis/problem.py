@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.adjusted_cell import adjusted_cell
-from mbcacq.calibration.several import shares
+from mbcacq.calibration.observation_fit import adjusted_fit
+from mbcacq.calibration.share import share_of
 from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
@@ -116,10 +116,10 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     else:
         together = adjust_together(recordings, options)
         obs, adjusted, parts = together.observations, together.adjusted, together.parts
-    whole = adjusted_cell(options, adjusted)
-    calibrated = shares(whole, parts, options) if parts else (whole,)
+    fit, whole = adjusted_fit(options, adjusted)
+    each = [share_of(fit, whole, parts, r, options) for r in range(len(parts))] or [(fit, whole)]
     problem = problem_of(obs, options, adjusted)
-    return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
+    return replace(problem, geometry_alone=tuple(GeometryAlone.of(*one) for one in each))
 
 
 def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:

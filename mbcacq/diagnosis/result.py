@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Self
 
-from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
+from mbcacq.calibration.cell_estimate import CellEstimate
+from mbcacq.calibration.observation_fit import EstimatedNoise, ObservationFit, Parameter, parameters_of
 from mbcacq.diagnosis.findings import OUT_OF_TIME, EvidenceSummary, Findings
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
@@ -62,10 +62,10 @@ class GeometryAlone:
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, cell: CalibratedCell) -> Self:
+    def of(cls, fit: ObservationFit, cell: CellEstimate) -> Self:
         """Noise and figures of a calibration without effects."""
-        fit = cell.fit
         arm, hand_eye, *_ = cell.layout.blocks
+        parameters = parameters_of(fit, cell.layout, cell.state, cell.covariance)
         return cls(
             poses=fit.used_poses,
             centres=int(fit.used.sum()),
@@ -75,7 +75,7 @@ class GeometryAlone:
             noise=EstimatedNoise.of(cell.noise, oriented=fit.oriented),
             calibrated={p: tuple(getattr(cell.state.chain, p).tolist()) for p in PARAMETERS},
             T_flange_scanner=tuple(tuple(row) for row in cell.state.T_flange_scanner.tolist()),
-            parameters=tuple(p for p in cell.parameters if p.name in {*arm.names, *hand_eye.names}),
+            parameters=tuple(p for p in parameters if p.name in {*arm.names, *hand_eye.names}),
         )
 
 

@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbcacq.calibration import state_from_dict
-from mbcacq.calibration.result_io import effects_of
+from mbcacq.calibration.result_io import effects_of, state_from_dict
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.exports.marks import comments

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
 from mbcacq.exports.mount import is_target, undetermined
 from mbcacq.geometry import se3

@@ -34,8 +34,7 @@ def verification_csv(result: Mapping[str, Any]) -> str:
 
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     """Measured minus predicted of every centre of the calibrated poses, in the scanner frame."""
-    from mbcacq.calibration import state_from_dict
-    from mbcacq.calibration.result_io import effects_of
+    from mbcacq.calibration.result_io import effects_of, state_from_dict
     from mbcacq.report.sources.measured import calibrated_poses, residuals
 
     used = calibrated_poses(observations, dict(result))

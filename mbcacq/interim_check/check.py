@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.acquisition.device_check import refuse_impossible_devices
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError, command_line

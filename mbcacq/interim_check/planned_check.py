@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import state_from_dict
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.design.simulated_observations import planned_observations

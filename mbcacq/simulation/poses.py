@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError

@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq import calibration
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, several
+from mbcacq.calibration import calibrated_cell, maximum_likelihood, several
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.joint_file import joint_content as content_of_all
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
+from mbcacq.calibration.verification import Verification
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -91,7 +93,7 @@ def calibrate(
     >>> cell.to_base(q, xyz)  # (P, 3) mm: scanner points in the base frame
     """
     if effects is None:
-        return calibration.calibrate(as_observations(data), options)
+        return maximum_likelihood.calibrate(as_observations(data), options)
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
@@ -165,7 +167,7 @@ def verify(
     """
     if isinstance(calibrated, Path | str):
         calibrated = CalibratedCell.from_json(Path(calibrated))
-    return calibration.verify(as_observations(data), calibrated, before=before, limit_mm=limit_mm)
+    return calibrated_cell.verify(as_observations(data), calibrated, before=before, limit_mm=limit_mm)
 
 
 def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell | Path | str, *, place: str = "fitted") -> Transfer:

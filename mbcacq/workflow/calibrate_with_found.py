@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.sealed_json import sealed_text
+from mbcacq.calibration.verification import Verification
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed

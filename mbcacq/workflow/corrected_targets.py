@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_targets import joint_targets
 from mbcacq.calibration.place_errors import ArmImprovement, arm_improvement
 from mbcacq.calibration.same_arm import refuse_other_arm

@@ -122,8 +122,8 @@ def checked(
 
     others: with their names.
     """
-    from mbcacq.calibration import CalibrationOptions
     from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
+    from mbcacq.estimation.options import CalibrationOptions
 
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")

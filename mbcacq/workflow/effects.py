@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue

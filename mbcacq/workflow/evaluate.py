@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
+from mbcacq.calibration.verification import Verification
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run

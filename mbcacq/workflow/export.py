@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
 from mbcacq.exports.folder import contents, write_folder
 from mbcacq.exports.format import Targets

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_file import split_number
 from mbcacq.calibration.result_io import read_result
 from mbcacq.calibration.sealed_json import SEAL

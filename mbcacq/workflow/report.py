@@ -7,10 +7,12 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.run_folder.register import RunKind, kind_of

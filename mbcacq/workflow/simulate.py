@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import effects_of, state_from_dict
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import forward_model

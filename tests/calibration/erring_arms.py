@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from cells import kr10, random_errors, scanner_cell
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.estimation import forward_model
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain

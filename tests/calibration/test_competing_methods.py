@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate, maximum_likelihood
+from mbcacq.calibration import maximum_likelihood
 from mbcacq.calibration.competing_methods import HeldOutComparison, compared_on_held_out, plain_least_squares
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.adjustment import adjust
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 ALONE = CalibrationOptions(discrepancy=False, random_links=False, refuse=False)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from cells import kr10, measure, random_errors, scanner_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.several import calibrate_together
 from mbcacq.cli.tables import remarks
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.marks import comments
 from mbcacq.geometry import se3
 from mbcacq.model import shipped

@@ -9,10 +9,11 @@ import pytest
 from cells import measure, scanner_cell
 from click.testing import CliRunner
 
-from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.compare_methods import compare
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 
 NOISE = (0.005, 0.005, 0.009)
 AXXB = [name for name in COMPARED_METHODS if name.startswith("AX=")]

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from cells import iiwa, measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate, state_from_dict, verify
+from mbcacq.calibration.calibrated_cell import verify
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.result_io import state_from_dict
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import Part, term
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station

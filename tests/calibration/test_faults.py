@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from cells import measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 
 
 @pytest.fixture(scope="module")

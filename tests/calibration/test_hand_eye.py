@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from hand_eye_data import ARTEFACT_IN_SCANNER, BALLS, TARGET_IN_BASE, local_error, recording
 
 import mbcacq
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.hand_eye_equations import MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.sufficiency import options_for

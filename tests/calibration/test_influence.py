@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.influence import deletions
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.cli.tables import remarks
 from mbcacq.estimation.adjustment import adjust
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.solver import solve
 

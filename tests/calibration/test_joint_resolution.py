@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.estimation.noise import first_noise, noise_prior
 from mbcacq.model.joint_resolution import joint_step
 from mbcacq.recording import load_observations

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.observability import indices
 
 
@@ -34,13 +34,3 @@ def test_map_of_expected_accuracy():
     near = np.linalg.norm(chart.centres_mm - found.state.T_base_station[:, :3, 3].mean(axis=0), axis=1)
     # Accuracy is best where the stations stood.
     assert np.median(chart.sigma_mm[near < 600]) < np.median(chart.sigma_mm[near > 1500])
-
-
-def test_uncertainty_scales_with_the_covariance():
-    from dataclasses import replace
-
-    found = calibrate(scanner_cell(np.random.default_rng(3), stations=8, per_station=8).observations)
-    q, xyz = found.fit.observations.q[:5], np.zeros((5, 3))
-    once = found.point_covariance(q, xyz)
-    twice = replace(found, covariance=4 * found.covariance).point_covariance(q, xyz)
-    np.testing.assert_allclose(twice, 4 * once)

@@ -9,12 +9,13 @@ import pytest
 from cells import scanner_cell
 from click.testing import CliRunner
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.cli.app import app
 from mbcacq.design.planned_scope import planned_scope, scope_sentence
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, simulated_recording
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.plan import expand, load
 from mbcacq.recording.datasets.observation_set import write_observation_set
 

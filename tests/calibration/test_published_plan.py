@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbcacq.calibration import CalibrationOptions, calibrate, verify
+from mbcacq.calibration.calibrated_cell import verify
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.tables import common_error
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
 

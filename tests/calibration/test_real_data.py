@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.cross_validation import held_out
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.recording import load_observations

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
-from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import noise as noise_model
 from mbcacq.estimation import parameters, variance_components, whitening
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks

@@ -9,10 +9,11 @@ from cells import iiwa, measure, robot, scanner_cell
 from click.testing import CliRunner
 
 import mbcacq
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import micrometres
 from mbcacq.recording.datasets.observation_set import write_observation_set

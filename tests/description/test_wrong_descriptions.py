@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.calibration import calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.description import wrong_descriptions
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.errors import CalibrationError

@@ -11,7 +11,7 @@ import simulated
 from click.testing import CliRunner
 
 import mbcacq
-from mbcacq.calibration import CalibratedCell, CalibrationOptions
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.several import calibrate_together
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.cli.calibrate import command
@@ -23,6 +23,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.recording.datasets.observation_set import write_observation_set
 
 COMPLIANCE = 3e-6

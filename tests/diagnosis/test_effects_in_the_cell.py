@@ -10,8 +10,9 @@ import pytest
 import simulated
 
 import mbcacq
-from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
-from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
+from mbcacq.calibration import with_effects
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.output.kept_model import partly_covered, term_of
 from mbcacq.effects import catalogue, unmodelled
@@ -22,6 +23,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.json_text import from_fields
 
 COMPLIANCE, GEAR = 3e-6, (8e-5, -5e-5)

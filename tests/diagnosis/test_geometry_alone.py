@@ -10,7 +10,7 @@ import simulated
 from click.testing import CliRunner
 from test_result import FOUND
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.several import calibrate_together
 from mbcacq.cli import calibrate as calibrate_command
 from mbcacq.cli import diagnose as diagnose_command
@@ -18,6 +18,7 @@ from mbcacq.diagnosis.output.text import geometry_lines, words
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.schema import diagnosis_schema
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.json_text import fields_as_json
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.observation_set import write_observation_set

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.problem import prepare
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.recording import load_observations
 
 

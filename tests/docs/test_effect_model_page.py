@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel

@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import read_result
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from test_correct import arm, goals_of, result
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import rapid, read_program

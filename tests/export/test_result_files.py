@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_file import RobotInResult
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError

@@ -11,7 +11,7 @@ from check_cells import simulated_plan
 from click.testing import CliRunner
 from shown_output import not_printed
 
-from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.recording import load_observations
 
 

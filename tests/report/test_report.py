@@ -214,7 +214,7 @@ def test_residuals_need_the_recording(tmp_path):
 
 
 def test_residuals_are_measured_minus_predicted():
-    from mbcacq.calibration import state_from_dict
+    from mbcacq.calibration.result_io import state_from_dict
     from mbcacq.report.sources.measured import calibrated_poses, residuals
 
     obs = make_observations()

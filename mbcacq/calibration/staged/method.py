@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.calibration.staged import distance_constraint
 from mbcacq.calibration.staged.ball_pairs import PairDistances, one_pair, several_balls
@@ -136,6 +137,5 @@ def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCel
         rank=rank,
         iterations=found.iterations,
     )
-    return CalibratedCell.fitted(
-        fit=fit, state=state, preliminary=first, layout=layout, covariance=found.covariance, noise=found.noise, extra={"stages": stages}
-    )
+    estimate = CellEstimate(state=state, layout=layout, covariance=found.covariance, noise=found.noise)
+    return CalibratedCell.fitted(fit, estimate, first, {"stages": stages})

@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mbcacq.calibration.with_effects import OPTIONS as GROUPS
 from mbcacq.diagnosis.search.bayes_factor import prior_sigma, prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_term import EffectTerm
@@ -173,8 +173,8 @@ class JointModel:
         start: (G,) to begin with.
         """
         known = self.index(range(len(self.effects)), ())
-        limits = GROUPS.smallest, GROUPS.largest
-        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, GROUPS.ending)
+        limits = unmodelled.OPTIONS.smallest, unmodelled.OPTIONS.largest
+        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, unmodelled.OPTIONS.ending)
 
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:

@@ -52,8 +52,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        from mbcacq.calibration import state_from_dict
-        from mbcacq.calibration.result_io import effects_of
+        from mbcacq.calibration.result_io import effects_of, state_from_dict
         from mbcacq.report.sources import measured
 
         used = measured.calibrated_poses(observations, result)

@@ -1,0 +1,307 @@
+"""What changed at a moment while a recording was made: the mount, the scanner, a joint's zero, an artefact's place or a ball.
+
+A change of three times the noise hides in an estimated noise. So the noise is estimated once more beside the step that looks best, and the
+step pays for what this noise is less probable without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.estimation import terms
+from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.linear_problem import ExtendedProblem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import HAND_EYE
+from mbcacq.estimation.pose_information import WeightedRows
+from mbcacq.estimation.prior import Prior
+from mbcacq.estimation.solution import Solution
+from mbcacq.estimation.step_test import Steps, StepTest, measuring_order
+from mbcacq.estimation.variance_components import log_restricted_posterior, restricted_maximum_likelihood
+from mbcacq.geometry import se3
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER
+from mbcacq.model.json_text import AsJson
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeOptions:
+    """When a change is said. benchmarks/strikes.md has the rates of false and of missed ones."""
+
+    false_alarms: float = 0.01  # of recordings in which nothing changed
+    suspected: float = 0.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
+    least_side: int = 3  # poses on either side of a moment
+    most_poses: int = 4000  # whose columns fit into memory
+    same_moment: float = 3.0  # of the log Bayes factor: moments that are this near are said as a range
+    other_kind: float = 3.0  # of the same: kinds that are this near are said too
+    turns: int = 3  # of noise and best step
+
+
+OPTIONS = ChangeOptions()
+
+
+@dataclass(frozen=True)
+class KindOfChange:
+    """A kind of change. columns: (M, R, k). among: (P + 1,) bool of the moments. weight: prior probability of the kind."""
+
+    name: str
+    where: str
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: np.ndarray
+    among: np.ndarray
+    weight: float
+
+
+@dataclass(frozen=True)
+class ChangeFound(AsJson):
+    """A change at a moment of a recording.
+
+    Attributes
+    ----------
+    kind, where : str
+        'mount', 'scanner', 'scale', 'joint', 'station' or 'ball'; which one, '' where there is one only.
+    before, after : int
+        Numbers of the poses, as recorded, between which it happened; a range where several moments are as probable.
+    nth, poses, station : int, int, str
+        The most probable first pose after it, counted from 1 in the order of measuring, of how many; the station of that pose.
+    seconds : float or None
+        Time from the first pose to that pose.
+    components, units : tuple of str
+        Names of the parts of the step.
+    value, std : tuple of float
+        Estimate and standard deviation of each.
+    log_e : float
+        Logarithm of the e-value of all changes.
+    or_else : tuple of str
+        Other kinds that explain it as well.
+    hand_eye_before, hand_eye_after : tuple
+        Rows of T_flange_scanner (mm) by a model with the change; the same where it is not the mount that changed.
+    hand_eye_std : tuple of float
+        Six standard deviations of its twist, mm and rad, before the change.
+    """
+
+    kind: str
+    where: str
+    before: int
+    after: int
+    nth: int
+    poses: int
+    station: str
+    seconds: float | None
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    value: tuple[float, ...]
+    std: tuple[float, ...]
+    log_e: float
+    or_else: tuple[str, ...]
+    hand_eye_before: tuple[tuple[float, ...], ...]
+    hand_eye_after: tuple[tuple[float, ...], ...]
+    hand_eye_std: tuple[float, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What changed, when and by how much, and what to do."""
+        what, to_do = in_words(self.kind, self.where)
+        at = f"pose {self.nth} of {self.poses} in the order of measuring, at station {self.station}"
+        when = "" if self.seconds is None else f", {self.seconds:.0f} s after the first"
+        sizes = [f"{n} {v:+.4f} ± {2 * s:.4f} {u}" for n, v, s, u in zip(self.components, *_shown(self), strict=True)]
+        other = f" ({' or '.join(in_words(*one.split(':'))[0] for one in self.or_else)} explains it as well)" if self.or_else else ""
+        was, now = (", ".join(f"{row[3]:.4f}" for row in T[:3]) for T in (self.hand_eye_before, self.hand_eye_after))
+        result = f"{was} mm before and {now} mm after it" if was != now else f"{was} mm with the change in the model"
+        return (
+            f"{what} between pose {self.before} and pose {self.after}{other}; {to_do}. First after it: {at}{when}. "
+            f"Size (k = 2): {', '.join(sizes)}. The values printed average over it: the hand-eye transform has X, Y, Z = {result}"
+        )
+
+
+def _shown(change: ChangeFound) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    factor = np.array([np.degrees(1.0) if u == "rad" else 1.0 for u in change.units])
+    return factor * change.value, factor * change.std, ["°" if u == "rad" else u for u in change.units]
+
+
+def in_words(kind: str, where: str) -> tuple[str, str]:
+    """What a kind of change is called, and what to do."""
+    return {
+        "mount": ("the scanner's mount slipped", "fasten it and measure anew"),
+        "scanner": ("the scanner's mount slipped, or the scanner's coordinates shifted,", "fasten it and measure anew"),
+        "scale": ("the scale of the scanner's coordinates changed", "look at its settings and its temperature, and measure anew"),
+        "joint": (f"the zero of joint A{where} stepped", "check its mastering"),
+        "station": (f"the place of the artefact at station {where} changed", "measure that station anew"),
+        "ball": (f"ball {where} moved on its artefact", "look at the artefact, and measure anew"),
+    }[kind]
+
+
+def found_change(fitted: Adjustment) -> ChangeFound | None:
+    """The change that a recording shows; None where what it shows has a probability of ``false_alarms`` without one.
+
+    Parameters
+    ----------
+    fitted : Adjustment
+        Adjustment of the recording, with random effects where it has some.
+    """
+    obs, at = fitted.lineariser.obs, fitted.solution.evaluated()
+    if obs.n_poses > OPTIONS.most_poses or obs.n_poses < 2 * OPTIONS.least_side:
+        return None
+    kinds = list(kinds_of_change(at))
+    first = _look(at, kinds)
+    if not kinds or first.log_e < OPTIONS.suspected:
+        return None
+    look, before, noise = first, _log_posterior(at, at.noise), at.noise
+    for _ in range(OPTIONS.turns):
+        noise = _noise_beside(at, kinds[look.kind], look.moment, noise)
+        last, look = look, _look(at.reweighted(noise, at.weights), kinds)
+        if (look.kind, look.moment) == (last.kind, last.moment):
+            break
+    log_e = look.log_e + _log_posterior(at, noise) - before
+    return _described(look, kinds, log_e) if log_e > -np.log(OPTIONS.false_alarms) else None
+
+
+def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
+    """Every kind of change that a recording may show."""
+    obs, prediction = at.lineariser.obs, at.linear.prediction
+    moment, n, names = np.arange(obs.n_poses + 1), obs.cell.robot.n, ("x", "y", "z")
+    every = (moment >= OPTIONS.least_side) & (moment <= obs.n_poses - OPTIONS.least_side)
+
+    def unit(place: str, index: int, components: int) -> np.ndarray:
+        return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(components)], axis=2)
+
+    twist, units = (*names, "rx", "ry", "rz"), ("mm",) * 3 + ("rad",) * 3
+    yield KindOfChange("mount", "", twist, units, unit("frame", n, 6), every, 0.15)
+    if obs.cell.measurement == ARTEFACT_IN_SCANNER:
+        shift = unit("point", 0, 3)
+        yield KindOfChange("scanner", "", names, units[:3], shift, every, 0.06)
+        for c in range(3):
+            yield KindOfChange("scanner", "", names[c : c + 1], units[:1], shift[..., c : c + 1], every, 0.03)
+        scale = np.zeros((*shift.shape[:2], 1))
+        scale[:, :3, 0] = 1e-6 * obs.xyz
+        yield KindOfChange("scale", "", ("scale",), ("ppm",), scale, every, 0.05)
+    for j in range(n):
+        yield KindOfChange("joint", str(j + 1), (f"A{j + 1}",), ("rad",), unit("joint", j, 1), every, 0.25 / n)
+    station = unit("station", 0, 6)
+    order = obs.station[measuring_order(obs)]
+    for s in np.unique(obs.station):
+        here = np.flatnonzero(order == s)
+        among = np.zeros(obs.n_poses + 1, bool)
+        among[here[OPTIONS.least_side : len(here) - OPTIONS.least_side + 1]] = True
+        at_s = station * (obs.station[obs.pose] == s)[:, None, None]
+        yield KindOfChange("station", obs.cell.stations[s].id, twist, units, at_s, among, 0.25 / len(obs.cell.stations))
+    if at.lineariser.rows.depth > 3:
+        ball, count = unit("ball", 0, 3), len(obs.cell.ball_ids)
+        for k in range(count):
+            yield KindOfChange(
+                "ball", str(obs.cell.ball_ids[k]), names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count
+            )
+
+
+@dataclass(frozen=True)
+class _Look:
+    """The steps of every kind under one noise. kind, moment: of the most probable one. log_bf: by kind, (P + 1,) with prior."""
+
+    test: StepTest
+    steps: list[Steps]
+    log_bf: list[np.ndarray]
+    kind: int
+    moment: int
+    log_e: float
+
+
+def _look(at: Solution, kinds: list[KindOfChange]) -> _Look:
+    test, steps, log_bf = StepTest(at), [], []
+    for kind in kinds:
+        found = test.of(kind.columns)
+        prior = np.where(kind.among, np.log(kind.weight) - np.log(max(int(kind.among.sum()), 1)), -np.inf)
+        steps.append(found)
+        log_bf.append(found.log_bayes_factor + prior)
+    best = [float(one.max()) for one in log_bf]
+    k = int(np.argmax(best))
+    return _Look(test, steps, log_bf, k, int(np.argmax(log_bf[k])), float(np.logaddexp.reduce(np.concatenate(log_bf))))
+
+
+def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -> Noise:
+    """Most probable noise of the problem with a step of free size."""
+    obs, rows = at.lineariser.obs, at.lineariser.rows
+    after = np.zeros(obs.n_poses, bool)
+    after[measuring_order(obs)[moment:]] = True
+    step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
+    columns, k = at.linear.columns.with_parameters(step), step.shape[2]
+    prior = Prior(
+        np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)]),
+        np.concatenate([at.prior.offset, np.zeros(k)]),
+        at.prior.station_information,
+        at.prior.station_offset,
+    )
+    problem = ExtendedProblem(columns, WeightedRows(rows, columns, at.weights.centre, at.weights.pose), prior)
+    return restricted_maximum_likelihood(lambda noise: problem.at(noise).after_fit(), start, at.lineariser.noise_prior)
+
+
+def _log_posterior(at: Solution, noise: Noise) -> float:
+    system = at.reweighted(noise, at.weights).system
+    normal = system.normal
+    fitted = replace(system, normal=normal.after(np.linalg.solve(normal.information, normal.gradient)))
+    return log_restricted_posterior(fitted, noise, at.lineariser.noise_prior)
+
+
+def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> ChangeFound:
+    kind, test, t = kinds[look.kind], look.test, look.moment
+    obs, of = test.solution.lineariser.obs, look.log_bf[look.kind]
+    near = _with_every_pose(test.solution, kind, np.flatnonzero(of > of[t] - OPTIONS.same_moment))
+    t = t if t in near else int(near[0])
+    value, covariance = look.steps[look.kind].estimate(t)
+    best: dict[str, float] = {}
+    for one, log_bf in zip(kinds, look.log_bf, strict=True):
+        name = f"{one.name}:{one.where}"
+        best[name] = max(best.get(name, -np.inf), float(np.logaddexp.reduce(log_bf)))
+    own = f"{kind.name}:{kind.where}"
+    other = tuple(name for name, size in best.items() if name != own and size > best[own] - OPTIONS.other_kind)
+    other = () if kind.name in ("mount", "scanner") and set(other) <= {"mount:", "scanner:"} else other
+    pose = int(test.order[t])
+    before, after, std = _hand_eyes(look, kind, value, covariance)
+    return ChangeFound(
+        kind=kind.name,
+        where=kind.where,
+        before=int(obs.pose_id[test.order[near.min() - 1]]),
+        after=int(obs.pose_id[test.order[near.max()]]),
+        nth=t + 1,
+        poses=obs.n_poses,
+        station=obs.cell.stations[obs.station[pose]].id,
+        seconds=None if obs.time_s is None else float(obs.time_s[pose] - obs.time_s.min()),
+        components=kind.components,
+        units=kind.units,
+        value=tuple(value.tolist()),
+        std=tuple(np.sqrt(np.diag(covariance)).tolist()),
+        log_e=log_e,
+        or_else=other,
+        hand_eye_before=tuple(map(tuple, before.tolist())),
+        hand_eye_after=tuple(map(tuple, after.tolist())),
+        hand_eye_std=tuple(std.tolist()),
+    )
+
+
+def _with_every_pose(at: Solution, kind: KindOfChange, near: np.ndarray) -> np.ndarray:
+    """The moments among these that poses which were rejected leave: an accident is followed by outliers."""
+    every = at.reweighted(at.noise, replace(at.weights, pose=np.ones_like(at.weights.pose)))
+    gain = StepTest(every).of(kind.columns).gain[near]
+    return near[gain > gain.max() - 2 * OPTIONS.same_moment]
+
+
+def _hand_eyes(look: _Look, kind: KindOfChange, value: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T_flange_scanner before and after a step, by the linear problem with it; and (6,) standard deviations before."""
+    test, at = look.test, look.test.solution
+    names = at.lineariser.layout.names
+    index = [names.index(f"hand_eye.{c}") if f"hand_eye.{c}" in names else -1 for c in HAND_EYE]
+    absorbed = test.covariance @ look.steps[look.kind].with_parameters[look.moment].T
+    moved, C = test.step - absorbed @ value, test.covariance + absorbed @ covariance @ absorbed.T
+    twist = np.array([moved[i] if i >= 0 else 0.0 for i in index])
+    std = np.array([np.sqrt(C[i, i]) if i >= 0 else 0.0 for i in index])
+    T = at.estimate.state.T_flange_scanner
+    before = (T if T.ndim == 2 else T[0]) @ se3.exp(twist)
+    if kind.name == "mount":
+        return before, se3.exp(value) @ before, std
+    if kind.name == "scanner":
+        shift = np.zeros(3)
+        shift[["xyz".index(c) for c in kind.components]] = value
+        return before, before @ se3.exp(np.concatenate([-shift, np.zeros(3)])), std
+    return before, before, std
