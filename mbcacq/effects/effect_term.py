@@ -211,15 +211,13 @@ class EffectTerm(EveryKey):
         """What the effect may be beyond the range in which it was learnt, beside what is predicted there: as its functions go on, with the
         size that it was found with. None where no pose is beyond.
         """
-        if not (self.fades or self.clamped) or not np.all(np.isfinite(self.sigma)):
+        if not (self.fades or self.clamped) or not np.all(np.isfinite(self.sigma)) or self.inside(here).all():
             return None
         held, parts = self._going_on(here, learnt), list[Part]()
         free = self._going_on(here, learnt, held=False) if self.clamped else held
         for at_end, on, own in zip(held, free, self.parts, strict=True):
             left = np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) if self.fades else np.zeros(len(at_end.basis))
             parts.append(replace(at_end, basis=on.basis - at_end.basis + left[:, None] * at_end.basis))
-        if not any(np.any(part.basis) for part in parts):
-            return None
         return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma_elsewhere)
 
     def inside(self, here: Covariates) -> np.ndarray:
