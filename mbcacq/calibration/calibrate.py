@@ -66,9 +66,9 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
     adjusted = _adjusted(obs, options)
-    if not options.kinematics:
-        return with_length_uncertainty(_hand_eye(cell_of(adjusted)))
-    return _arm_and_hand_eye(cell_of(with_random_links(adjusted)))
+    if options.kinematics:
+        return _arm_and_hand_eye(cell_of(with_random_links(adjusted)))
+    return with_length_uncertainty(_hand_eye(cell_of(adjusted)))
 
 
 def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
@@ -82,29 +82,15 @@ def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
         raise (CalibrationError(f"{fault} (as it is, {error})") if fault else error) from None
 
 
-def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
-    """With the nominal arm as it is; refused, or with a warning, where the recording contradicts its description."""
-    if not cell.fit.options.discrepancy:
-        return cell
-    cell = with_contradiction(cell)
-    change = found_change(cell.adjustment)
-    if change is not None:
-        _, change = _smooth_or_sudden(cell, change)
-    cell = with_accident(with_nominal_arm(cell), change)
-    refuse_unusable(cell)
-    return cell
-
-
 def _arm_and_hand_eye(cell: CalibratedCell) -> CalibratedCell:
     """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
     refuse_unusable(cell)
-    options = cell.fit.options
-    if not options.discrepancy:
-        return with_joint_noise_check(cell)
-    fault, change = fault_while_recording(cell.adjustment), found_change(cell.adjustment)
+    options, fault, change = cell.fit.options, "", None
+    if options.discrepancy:
+        fault, change = fault_while_recording(cell.adjustment), found_change(cell.adjustment)
     # An event that happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
-    if not options.terms and not fault:
+    if options.discrepancy and not options.terms and not fault:
         cell, change = _smooth_or_sudden(cell, change)
         cell = best_on_held_out(cell) if change is None else cell
     cell = with_joint_noise_check(cell)
@@ -119,6 +105,19 @@ def _smooth_or_sudden(cell: CalibratedCell, change: ChangeFound | None) -> tuple
     if smooth is None or (change is not None and change.log_e > evidence_gain(smooth)):
         return cell, change
     return smooth, found_change(smooth.adjustment)
+
+
+def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
+    """With the nominal arm as it is; refused, or with a warning, where the recording contradicts its description."""
+    if not cell.fit.options.discrepancy:
+        return cell
+    cell = with_contradiction(cell)
+    change = found_change(cell.adjustment)
+    if change is not None:
+        _, change = _smooth_or_sudden(cell, change)
+    cell = with_accident(with_nominal_arm(cell), change)
+    refuse_unusable(cell)
+    return cell
 
 
 def _staged(observations: Observations, options: CalibrationOptions) -> CalibratedCell:
