@@ -103,7 +103,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCel
     fitted = adjust(obs, options, links_follow=options.kinematics)
     fitted = with_random_links(fitted) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)
-    return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
+    return result if options.kinematics or not options.discrepancy else with_nominal_arm(replace(result, own_adjustment=fitted))
 
 
 def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
