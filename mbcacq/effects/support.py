@@ -53,7 +53,7 @@ def with_drives_for(robot: RobotModel, name: str, where: tuple[str, ...]) -> Rob
 
 
 def unnamed(candidate: Candidate, refused: str) -> Candidate:
-    """The candidate as an unmodelled effect at its location. refused: the sentence that says why it has no name."""
+    """The candidate as an unmodelled effect at its location. refused: the sentence on the name that it cannot have."""
     return replace(
         candidate,
         name=UNKNOWN,
