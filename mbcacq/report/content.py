@@ -197,10 +197,10 @@ class Devices:
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
+    """Joint angles q_deg (P, n), None of poses of a flange, limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
     with ball_phase (M,) str, or None. arm: (n + 1, 3) mm, the joints in the middle pose, or None."""
 
-    q_deg: np.ndarray
+    q_deg: np.ndarray | None
     limits_deg: np.ndarray | None
     phase: np.ndarray
     flange: np.ndarray | None = None

@@ -48,7 +48,7 @@ def residuals(
         weighted=weighted,
         outlier=out,
         station=station,
-        q_deg=np.degrees(obs.q)[obs.pose],
+        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q)[obs.pose],
     )
 
 
@@ -59,7 +59,7 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=np.degrees(obs.q),
+        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q),
         limits_deg=np.degrees(obs.cell.robot.limits),
         phase=_phase(obs),
         flange=T[:, :3, 3],
@@ -71,7 +71,7 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
 
 def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
     """(n + 1, 3) mm: base and joints in the pose in the middle of the run, to draw the arm by."""
-    if not obs.n_poses:
+    if not obs.n_poses or obs.cell.robot.of_flange_poses:
         return None
     frames = state.chain.frames(obs.q[[obs.n_poses // 2]])[0]
     return np.concatenate([np.zeros((1, 3)), frames[:, :3, 3]])
