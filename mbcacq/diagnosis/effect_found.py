@@ -32,15 +32,8 @@ def trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[float 
     return REMOVES_NOTHING if gain is not None and gain < max(K * std, NOTHING) else ""
 
 
-OF_POSES = (  # keys of an effect of poses alone
-    "p_local",
-    "p_corrected",
-    "log_bayes_factor",
-    "equivalent",
-    "held_out_gain_std",
-    "orders",
-    "found_again",
-)
+OF_POSES = ("p_local", "p_corrected", "log_bayes_factor", "equivalent", "held_out_gain_std")  # keys of an effect of poses alone
+WHERE_KNOWN = ("orders", "found_again")  # of these, keys that are left out where they are empty
 OF_MOTION = ("channel", "held_out_gain_here", "steps", "notes", "shape")  # keys of an effect of a motion alone
 OF_MODELS = ("held_out_gain_here", "steps", "notes", "trend")  # of these, keys that an unmodelled effect of a motion does not have
 
@@ -212,7 +205,7 @@ class EffectFound(EveryKey):
         Structure in a residual that no effect of the catalogue explains, over the covariate ``depends_on``. Motion only.
     """
 
-    left_out = (*OF_MOTION, "trend")
+    left_out = (*OF_MOTION, *WHERE_KNOWN, "trend")
     later = ("depends_on", "alternatives", *OF_POSES)
 
     name: str
@@ -246,9 +239,10 @@ class EffectFound(EveryKey):
             object.__setattr__(self, "trend", reason)
 
     def unwritten(self) -> Sequence[str]:
+        empty = [key for key in WHERE_KNOWN if not getattr(self, key)]
         if not self.channel:
-            return OF_MOTION
-        return (*OF_POSES, "shape") if self.shape is None else (*OF_POSES, *OF_MODELS)
+            return (*OF_MOTION, *empty)
+        return (*OF_POSES, *empty, "shape") if self.shape is None else (*OF_POSES, *empty, *OF_MODELS)
 
     @property
     def gain_here(self) -> float:

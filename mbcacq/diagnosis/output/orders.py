@@ -136,7 +136,8 @@ def of_lines(
         elif len(chosen):
             out[key] = ParameterEstimate(tuple(values[chosen].tolist()), tuple(stds[chosen].tolist()))
     if not all(single) and "amplitude_deg" in columns:
-        out[f"{at}.{RMS}"] = rms_of_lines(*columns["amplitude_deg"], parts, f"{at}.amplitude_deg")
+        values, stds = columns["amplitude_deg"]
+        out[f"{at}.{RMS}"] = rms_of_lines(values, stds, parts, f"{at}.amplitude_deg")
     return out
 
 
