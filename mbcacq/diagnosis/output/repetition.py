@@ -48,3 +48,9 @@ def repetition_sentences(effect: EffectFound) -> list[str]:
         what = f"{parts} halves by blocks" if disjoint else f"{parts} searches without a part of the poses (too few poses for halves)"
         out.append(f"{at}found again in {found_in} of {what}")
     return out
+
+
+def in_short(effect: EffectFound) -> str:
+    """How many halves show it at all of its locations; empty where halves were not searched."""
+    halves = [one for one in effect.found_again if one.disjoint]
+    return f"found again in {min(one.found_in for one in halves)} of {halves[0].parts} halves" if halves else ""
