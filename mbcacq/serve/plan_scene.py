@@ -20,6 +20,7 @@ from mbcacq.recording.run_folder.run_plan import PLAN, fault_of, plan_of_run
 from mbcacq.report.charts.style import PHASES
 from mbcacq.report.sources.check_result import read_check_result
 
+MOST_KEPT = 30
 MOST_BYTES = 4 << 20  # of a plan
 NOT_SEEN = "#8a929a"
 LARGEST_BOX = 2000.0  # mm; a floor or a wall would only frame the scene, and make the arm small
@@ -45,6 +46,8 @@ class PlanScenes:
             if kept is None or kept[0] != status.st_mtime_ns:
                 kept = status.st_mtime_ns, json.dumps(plan_scene(plan_in(folder), _checked(folder)), allow_nan=False)
                 self._kept[folder] = kept
+                while len(self._kept) > MOST_KEPT:
+                    del self._kept[next(iter(self._kept))]
         return kept[1]
 
 
