@@ -62,7 +62,7 @@ def profile(frame: ScannerFrame, exposure_us: float) -> bytes:
 
 
 def middle_of_profile(frame: ScannerFrame) -> float:
-    """Of the middle row, along x in the sensor's frame (mm): the middle of a box around its points. NaN without a point."""
+    """The middle of a box around the points of the middle row, along x in the sensor's frame (mm); NaN without a point."""
     x = -frame.xyz[len(frame.xyz) // 2, :, 0]
     return float(np.nanmin(x) + np.nanmax(x)) / 2 if np.any(np.isfinite(x)) else float("nan")
 
