@@ -202,6 +202,8 @@ class _BlockVariance:
 
 def times_upper(x: np.ndarray, root: np.ndarray) -> np.ndarray:
     """x (P, u, g) times the transpose of a lower triangular matrix (g, g): half of the work of a product with a full one."""
+    if not len(root):
+        return x
     flat = np.ascontiguousarray(x).reshape(-1, len(root))
     return dtrmm(1.0, root.T, flat.T, trans_a=1, overwrite_b=1).T.reshape(x.shape)
 
