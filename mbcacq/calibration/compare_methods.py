@@ -100,9 +100,9 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order, without those that identify
-    links where the data are poses of a flange; a method that these data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError where no method is determined: no station
-    was seen from two postures."""
+    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order. Those that identify links are left out where the
+    data are poses of a flange; a method that these data do not determine has the reason in place of figures. progress: gets a sentence a
+    method. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(

@@ -67,7 +67,7 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
         balls=balls,
         ball_phase=phase,
         arm=_arm(obs, state),
-        arm_radii=link_radii(state.chain),
+        arm_radii=None if obs.cell.robot.of_flange_poses else link_radii(state.chain),
     )
 
 
