@@ -263,7 +263,7 @@ def last_way(w: World, size: float) -> tuple[str, ...]:
     return (f"A{i + 1}",)
 
 
-SETTLING, SLACK = frozenset({"settling"}), frozenset({"lost_motion"})
+SETTLING, SLACK = frozenset({"joint_settling"}), frozenset({"lost_motion"})
 KINDS = {
     "two_angles": Kind(two_angles),
     "product_of_angles": Kind(product_of_angles),

@@ -233,7 +233,9 @@ CASES = (
     ),
     Case("incidence_bias", ("scanner",), leaning(1e-5, 0.0), {"depth_mm": 1e-5}, variant="depth"),
     Case("incidence_bias", ("scanner",), leaning(1e-5, -6e-6), {"depth_mm": 1e-5, "side_mm": -6e-6}, variant=""),
-    Case("settling", ("A2",), sagging, {"A2.sag_deg": 4e-4, "A2.least_pause_s": 60.0}, hyper=60.0, depends_on="pause", variant="pause"),
+    Case(
+        "joint_settling", ("A2",), sagging, {"A2.sag_deg": 4e-4, "A2.least_pause_s": 60.0}, hyper=60.0, depends_on="pause", variant="pause"
+    ),
     Case(
         "mount_clearance",
         ("mount",),

@@ -35,7 +35,7 @@ CATALOGUED = (
     "incidence_bias",
     "payload",
     "exposure_latency",
-    "settling",
+    "joint_settling",
     "mount_clearance",
 )
 UNCATALOGUED = (

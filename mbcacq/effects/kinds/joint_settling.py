@@ -10,7 +10,7 @@ from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, number
 from mbcacq.effects.functions import Column, DescribedPart, of, times
 
-NAME = "settling"
+NAME = "joint_settling"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s",), challenge=Challenge(number=22))
 FEWEST = 3  # poses on either side of a pause's least length, to tell a habit from a single error
 GAP = 1.5  # between two neighbouring lengths of pauses, so that they are of two kinds

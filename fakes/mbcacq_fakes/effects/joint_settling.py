@@ -10,7 +10,7 @@ from mbcacq_fakes.effects.base import InjectedEffect, names
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
-class Settling(InjectedEffect):
+class JointSettling(InjectedEffect):
     options = {"where": None, "sag_deg": None, "closes_after_s": 60.0}
 
     def draw(self) -> None:
