@@ -215,7 +215,7 @@ def creep_after_pause(w: World, size: float) -> tuple[str, ...]:
 def warm_air(w: World, size: float) -> tuple[str, ...]:
     """Air that is warmer below bends every ray upwards, more as the cell warms up."""
     w.air += 2 * 0.05 * size / 260.0**2 * (w.obs.temperatures["robot_C"] - 20.0) / 12.0
-    return "scanner", "mount"
+    return "scanner", "mount", "base"  # all that is seen rises
 
 
 def rocking_base(w: World, size: float) -> tuple[str, ...]:

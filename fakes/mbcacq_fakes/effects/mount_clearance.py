@@ -16,9 +16,9 @@ class MountClearance(InjectedEffect):
     options = {"play_mm": None, "play_deg": None}
 
     def draw(self) -> None:
-        self.line = self.vector(1.0)
-        self.line /= np.linalg.norm(self.line)
-        across = np.cross(self.line, self.vector(1.0))
+        self.line, other = self.rng.standard_normal((2, 3))
+        self.line = self.line / np.linalg.norm(self.line)
+        across = np.cross(self.line, other)
         play, tip = self.given["play_mm"], self.given["play_deg"]
         self.play = abs(self.size(0.05)) if play is None else float(play)
         self.tip = abs(self.size(3e-4)) if tip is None else float(np.radians(tip))
