@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import coupled
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
@@ -17,7 +16,8 @@ from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect,
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
-from mbcacq.diagnosis.search.effect_set import EffectSet, Member
+from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.posterior import Posterior
@@ -148,8 +148,8 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     """
     projected = CandidateScoring.of(linear, best.point.noise)
     agreed = coupled(problem.candidates, problem.context, best)
-    members, values, covariance = part_of(agreed, lambda m: m in agreed.catalogued)
-    model = EffectSet(tuple(replace(m, candidate=with_moment_uncertainty(agreed, m)) for m in members), values, covariance)
+    named = agreed.solved.part(lambda m: m.candidate.name != UNKNOWN)
+    model = replace(named, members=tuple(replace(m, candidate=with_moment_uncertainty(agreed, m)) for m in named.members))
     conditioned = conditioned_on_effects(projected, model)
     model = replace(model, gain=projected.chi2 - conditioned.chi2)
     estimated = random_effects(best) if best.unmodelled else None
@@ -166,24 +166,16 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     )
 
 
-def part_of(hypothesis: Hypothesis, chosen: Callable[[Member], bool]) -> tuple[list[Member], np.ndarray, np.ndarray]:
-    """Some effects of a hypothesis, their coefficients (k,) and the covariance (k, k) of these."""
-    found = coefficients(hypothesis)
-    own = [(m, p) for m, p in zip(hypothesis.members, found.slices(), strict=True) if chosen(m)]
-    index = np.concatenate([np.zeros(0, int), *(np.arange(p.start, p.stop) for _, p in own)])
-    return [m for m, _ in own], found.coefficients[index], found.covariance[np.ix_(index, index)]
-
-
 def random_effects(best: Hypothesis) -> RandomEffectsModel:
     """The unmodelled effects of a hypothesis."""
-    members, values, covariance = part_of(best, lambda m: m in best.unmodelled)
+    found = best.solved.part(lambda m: m.candidate.name == UNKNOWN)
     linear = best.point.linear
-    moved = [tuple(candidate_parts(linear, m.candidate)) for m in members]
+    moved = [tuple(candidate_parts(linear, m.candidate)) for m in found.members]
     groups = tuple(
         RandomEffect(m.candidate.where[0], m.candidate.depends_on, parts, m.size * m.candidate.typical)
-        for m, parts in zip(members, moved, strict=True)
+        for m, parts in zip(found.members, moved, strict=True)
     )
-    return RandomEffectsModel(groups, values, covariance)
+    return RandomEffectsModel(groups, found.coefficients, found.covariance)
 
 
 def cells_of(best: Hypothesis) -> tuple[LocatedMismatch, ...]:

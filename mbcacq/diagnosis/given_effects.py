@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
+from mbcacq.diagnosis.evidence.coefficients import geometry_of
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
@@ -66,7 +66,7 @@ class PosesGiven:
         if best is None or not all(can_be_kept(m.candidate, m.hyper) for m in best.members):
             return None
         obs = self.problem.linear.obs
-        here, found = Covariates(obs), coefficients(best)
+        here, found = Covariates(obs), best.solved
         terms = [
             term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
             for m, own in zip(best.members, found.slices(), strict=True)

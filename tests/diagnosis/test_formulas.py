@@ -10,7 +10,6 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
@@ -88,7 +87,7 @@ def test_a_product_of_two_angles_is_found(short):
     best = search.run(most_terms=1)[0]
 
     assert [p.label for p in best.placed] == ["A5(0,):q2*q4['sin(q2) sin(q4)']"]
-    assert abs(coefficients(best.hypothesis).coefficients[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
+    assert abs(best.hypothesis.solved.coefficients[0] - PULL) < 4 * np.sqrt(best.hypothesis.solved.covariance[0, 0])
 
 
 def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):

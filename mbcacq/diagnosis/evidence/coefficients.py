@@ -1,4 +1,4 @@
-"""Coefficients of a hypothesis: their posterior beyond the geometry, and what they displace."""
+"""Coefficients of a hypothesis of poses together with the geometry, and what they displace."""
 
 from __future__ import annotations
 
@@ -8,24 +8,9 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.search.effect_columns import candidate_columns, candidate_parts
-from mbcacq.diagnosis.search.effect_set import EffectSet, Member
+from mbcacq.diagnosis.search.effect_set import prior_sigma
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import term
-
-
-def prior_sigma(members: tuple[Member, ...]) -> np.ndarray:
-    """(k,) prior standard deviation of each coefficient, at the most probable size of its effect."""
-    return np.concatenate([np.zeros(0), *(m.size * m.candidate.typical for m in members)])
-
-
-def coefficients(hypothesis: Hypothesis) -> EffectSet:
-    """The effects with the posterior of their coefficients, geometry integrated out."""
-    members, p = hypothesis.members, hypothesis.point.projected
-    X = np.concatenate([np.zeros((len(p.r0), 0)), *(p.block(m.candidate, m.hyper) for m in members)], axis=1)
-    absorbed, sigma = p.Q.T @ X, prior_sigma(members)
-    normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
-    inverse = np.linalg.inv(normal)
-    return EffectSet(members, sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma)
 
 
 def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +52,7 @@ def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem
 
 def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
     """(M, R) of each effect, by the mean of its coefficients."""
-    linear, found = hypothesis.point.linear, coefficients(hypothesis)
+    linear, found = hypothesis.point.linear, hypothesis.solved
     return [
         candidate_columns(linear, m.candidate, m.hyper) @ found.coefficients[p] for m, p in zip(found.members, found.slices(), strict=True)
     ]

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
@@ -60,7 +59,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
     for number in range(OPTIONS.rounds):
         own = coupling.candidates(context, known, complete=True)[0]
         new = together(*(coupling.carrier(context, c, correction, str(number)) for c in carriers), own)
-        found = coefficients(new)
+        found = new.solved
         step, covariance = found.coefficients[found.slices()[-1]], found.covariance[found.slices()[-1], found.slices()[-1]]
         correction = correction + step
         known = carried(new, coupling, found)
@@ -71,7 +70,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
 
 def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: EffectSet | None = None) -> Mapping[Where, float]:
     """Location -> coefficient of the effect through which a coupled one shows, to four digits; none below a share of the largest."""
-    solved = known or coefficients(hypothesis)
+    solved = known or hypothesis.solved
     found = {
         m.candidate.where: float(solved.coefficients[p.start])
         for m, p in zip(hypothesis.members, solved.slices(), strict=True)

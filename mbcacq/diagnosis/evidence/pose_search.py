@@ -13,7 +13,6 @@ from mbcacq.diagnosis.evidence.candidate_evidence import (
     evidence_of_one,
     scanned_candidate,
 )
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, under
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -126,7 +125,7 @@ class PoseSearch(EvidenceSearch):
         possible = [c for c in catalogue.couplings() if c.through in names]
         if not possible:
             return []
-        found, out = coefficients(node), list[Candidate]()
+        found, out = node.solved, list[Candidate]()
         for coupling in possible:
             there = {
                 m.candidate.where: float(f"{found.coefficients[p.start]:.2g}")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
@@ -14,18 +12,6 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.declaration import EffectCoupling
 
 MOST_LOG_ODDS = 30.0  # larger ones are no more certain, and would overflow
-
-
-@dataclass(frozen=True)
-class RankedAlternative:
-    """Another effect, as ``name:where``, in the place of a reported one. odds: posterior probability relative to the reported set's.
-
-    hypothesis: the set with it.
-    """
-
-    label: str
-    odds: float
-    hypothesis: Hypothesis
 
 
 def reported_hypothesis(fit: RankedSets) -> Hypothesis:
@@ -68,11 +54,11 @@ def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectC
     return list(best.values())
 
 
-def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[RankedAlternative]:
-    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
-    most probable set.
+def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> dict[str, float]:
+    """What else (``name:where``) could stand in the place of a reported effect, with its odds relative to the reported set, most probable
+    first: beside the other reported ones, or beside those of the most probable set.
     """
-    best: dict[str, RankedAlternative] = {}
+    best: dict[str, float] = {}
     for base in (reported, fit.best):
         rest = base.labels - {label}
         for h in fit.hypotheses:
@@ -80,10 +66,8 @@ def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[R
             if label in h.labels or len(others) != 1 or not rest <= h.labels:
                 continue
             (name,) = others
-            odds = relative_odds(h, base)
-            if name not in best or best[name].odds < odds:
-                best[name] = RankedAlternative(name, odds, h)
-    return sorted(best.values(), key=lambda r: -r.odds)
+            best[name] = max(relative_odds(h, base), best.get(name, 0.0))
+    return dict(sorted(best.items(), key=lambda one: -one[1]))
 
 
 def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
@@ -185,7 +184,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
     """The formula with its coefficients as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a
     term's coefficients of one unit.
     """
-    found, k = coefficients(formula.hypothesis), len(formula.sigma)
+    found, k = formula.hypothesis.solved, len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]
     values = found.coefficients[-k:]

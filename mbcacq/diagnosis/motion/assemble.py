@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry, MotionStep
+from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
 from mbcacq.diagnosis.findings import Advice, NotSeparable
-from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
@@ -25,6 +25,7 @@ from mbcacq.diagnosis.motion.result import (
     FitOfMotion,
     MotionDiagnosis,
 )
+from mbcacq.diagnosis.output.evidence_summary import summary_of
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.motion_effect import MotionSignals
@@ -88,7 +89,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
     loads = tuple(pair for fit in fits for pair in fit.load_alternatives)
-    alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
+    alike = tuple(pair for fit in fits if fit.sets is not None for pair, *_ in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
         verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels),
@@ -98,7 +99,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
         not_separable=not_separable,
         advice=(*_advice_on_sets(alike), *_advice(runs, loads)),
         inertial=tuple(b for fit in fits for b in _inertial(fit)),
-        evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
+        evidence=tuple(ChannelEvidence(fit.group.name, summary_of(fit.sets)) for fit in fits if fit.sets is not None),
     )
 
 

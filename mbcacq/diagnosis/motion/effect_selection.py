@@ -178,7 +178,7 @@ class EffectSelection:
                 p_value=float(np.exp(-max(lost, 0.0))),
                 before=self._mean_square_without(effect, weights, normals),
                 after=after,
-                alternatives=[Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)],
+                alternatives=[Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()],
             )
 
     def _mean_square_without(self, effect: Member, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:

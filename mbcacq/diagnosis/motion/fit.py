@@ -17,7 +17,6 @@ from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
-from mbcacq.diagnosis.motion.evidence_summary import coefficients
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_error import load_alternatives, load_error
@@ -198,7 +197,7 @@ def _averaged(effects: list[FittedEffect], sets: RankedSets | None) -> list[Fitt
     """The effects with the parameters as all sets state them that are not excluded."""
     if sets is None or not sets.significant:
         return effects
-    between = BetweenSets.of(sets, coefficients)
+    between = BetweenSets.of(sets)
     return [replace(e, parameters=between.averaged([e.candidate.label], e.parameters)) for e in effects]
 
 

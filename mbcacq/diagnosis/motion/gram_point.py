@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.normal_store import MISMATCH
 from mbcacq.diagnosis.motion.options import RIDGE
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 
 # Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
 # digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).
@@ -115,7 +116,7 @@ class GramPoint:
         gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
         return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
 
-    def with_effects(self, extended: ExtendedGram) -> GramSystem:
+    def with_effects(self, extended: ExtendedGram) -> NormalSystem:
         normal = np.einsum("j,jab->ab", np.exp(-self.theta), extended.gram)
         g = len(extended.base_weight)
         root = cholesky_of(normal[:g, :g], extended.base_weight)
@@ -123,7 +124,32 @@ class GramPoint:
         rest = normal[g:, g:] - reduced.T @ reduced
         floor = float(self.problem.count @ (self.problem.least * np.exp(-self.theta)))
         log_det = float(self.problem.count @ self.theta) + 2.0 * float(np.log(np.diag(root)).sum())
-        return GramSystem(self, extended, rest[:-1, :-1], rest[:-1, -1], -0.5 * (log_det + float(rest[-1, -1]) + floor))
+        log_likelihood = -0.5 * (log_det + float(rest[-1, -1]) + floor)
+        return NormalSystem(rest[:-1, :-1], rest[:-1, -1], log_likelihood, partial(self.score, extended))
+
+    def score(self, extended: ExtendedGram, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of the log likelihood by theta, with the effects in place. weight (k,): prior weight of each."""
+        gram, problem, inverse_variance = extended.gram, self.problem, np.exp(-self.theta)
+        normal = np.einsum("j,jab->ab", inverse_variance, gram)
+        root = cholesky_of(normal[:-1, :-1], np.r_[extended.base_weight, weight])
+        inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
+        covariance = inverse.T @ inverse
+        residual = np.append(-covariance @ normal[:-1, -1], 1.0)
+        squares = inverse_variance * (np.einsum("a,jab,b->j", residual, gram, residual) + problem.count * problem.least)
+        spent = inverse_variance * np.einsum("jab,ab->j", gram[:, :-1, :-1], covariance)
+        gradient = 0.5 * (squares + spent - problem.count)
+        return gradient, np.diag(0.5 * np.maximum(problem.count - spent, 0.1 * problem.count))
+
+    def solved(self, members: Sequence[Member]) -> EffectSet:
+        """These effects with the posterior of their coefficients, offsets and masses integrated out."""
+        if not members:
+            return EffectSet(())
+        system = self.with_effects(self.extended(members))
+        size = np.concatenate([np.full(m.candidate.k, m.size) for m in members])
+        typical = np.concatenate([m.candidate.typical for m in members])
+        root = np.linalg.inv(cholesky_of(system.A, size**-2.0))
+        covariance = root.T @ root
+        return EffectSet(tuple(members), typical * (covariance @ system.a), covariance * np.outer(typical, typical))
 
     def conditioned(self, members: Sequence[Member]) -> ConditionedGram:
         return ConditionedGram.of(self, members)
@@ -150,29 +176,6 @@ def cholesky_of(normal: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class GramSystem:
-    """Effects beyond the base at one noise (``evidence.hypothesis.NormalSystem``)."""
-
-    point: GramPoint
-    extended: ExtendedGram
-    A: np.ndarray
-    a: np.ndarray
-    log_likelihood: float
-
-    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gram, problem, inverse_variance = self.extended.gram, self.point.problem, np.exp(-self.point.theta)
-        normal = np.einsum("j,jab->ab", inverse_variance, gram)
-        root = cholesky_of(normal[:-1, :-1], np.r_[self.extended.base_weight, weight])
-        inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
-        covariance = inverse.T @ inverse
-        residual = np.append(-covariance @ normal[:-1, -1], 1.0)
-        squares = inverse_variance * (np.einsum("a,jab,b->j", residual, gram, residual) + problem.count * problem.least)
-        spent = inverse_variance * np.einsum("jab,ab->j", gram[:, :-1, :-1], covariance)
-        gradient = 0.5 * (squares + spent - problem.count)
-        return gradient, np.diag(0.5 * np.maximum(problem.count - spent, 0.1 * problem.count))
-
-
-@dataclass(frozen=True, eq=False)
 class ConditionedGram:
     """The normal equations of all columns beyond the base and the effects of a set."""
 
@@ -193,8 +196,3 @@ class ConditionedGram:
         absorbed = self.absorbed[:, ids]  # (c, H, k)
         A = self.normal[ids[:, :, None], ids[:, None, :]] - np.einsum("chk,chl->hkl", absorbed, absorbed)
         return A, self.normal[ids, -1] - np.einsum("chk,c->hk", absorbed, self.absorbed[:, -1])
-
-    @cached_property
-    def scale(self) -> np.ndarray:
-        """(P,) square root of each column's information."""
-        return np.sqrt(np.maximum(np.diag(self.normal)[:-1], 1e-300))

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, stands_for_untried
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -30,22 +29,18 @@ def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     def untried(hypothesis: Hypothesis) -> set[str]:
         return {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
 
-    return summary_of(fit, coefficients, untried, fit.linear.obs.n_poses, tuple(untried_in_words(problem, fit)))
+    return summary_of(fit, untried, fit.linear.obs.n_poses, tuple(untried_in_words(problem, fit)))
 
 
 def summary_of(
-    sets: RankedSets,
-    solved: Callable[[Hypothesis], EffectSet],
-    untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(),
-    poses: int = 0,
-    sentences: tuple[str, ...] = (),
+    sets: RankedSets, untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(), poses: int = 0, sentences: tuple[str, ...] = ()
 ) -> EvidenceSummary:
-    """The sets that are near the most probable one, and the empty one. solved: the coefficients of a set; untried: keys of the effects in
+    """The sets that are near the most probable one, and the empty one. untried: keys of the effects in
     it that stand for what was not tried.
     """
     best = sets.hypotheses[0].log_posterior
     each = [widened(h) for h in shown(sets)]
-    compared = tuple(ComparedSet(effects_of(sets, h, solved(h), untried(h)), float(h.log_posterior - best)) for h in each)
+    compared = tuple(ComparedSet(effects_of(sets, h, h.solved, untried(h)), float(h.log_posterior - best)) for h in each)
     return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, sentences)
 
 
