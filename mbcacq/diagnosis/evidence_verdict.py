@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.fitted_model import Contributions, ModelFit

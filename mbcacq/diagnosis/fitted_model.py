@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coupled_effects import coupled
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, RandomEffectsModel, conditioned_on_effects

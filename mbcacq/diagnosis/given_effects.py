@@ -23,7 +23,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, prepare
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
-from mbcacq.effects.effect import Candidate, Parameters, label_of
+from mbcacq.effects.effect import Candidate, Parameters
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
@@ -33,20 +33,6 @@ from mbcacq.estimation.terms import Term, term
 from mbcacq.model.observations import Observations
 
 LEAST_INFORMATION = 1e-6  # of the poses on a coefficient, next to what is given: below, what they state is not a number
-
-
-@dataclass(frozen=True)
-class StatedParameters:
-    """A statement about an effect from something else than the poses: its parameters in the words of the poses, value and std by name."""
-
-    name: str
-    where: tuple[str, ...]
-    parameters: Parameters
-
-    @property
-    def label(self) -> str:
-        """``name:where``."""
-        return label_of(self.name, self.where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +61,16 @@ class PosesGiven:
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)
 
 
-def evidence_given(obs: Observations, stated: Sequence[StatedParameters], options: CalibrationOptions | None = None) -> PosesGiven | None:
+def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options: CalibrationOptions | None = None) -> PosesGiven | None:
     """The sets of effects that the poses show beside those that something else states.
 
     Parameters
     ----------
     obs : Observations
         The poses.
-    stated : sequence of StatedParameters
-        Effects whose parameters are known. Those whose coefficients do not follow from their parameters are searched as all others.
+    stated : sequence of ComparedEffect
+        Effects whose parameters are known, in the words of the poses. Those whose coefficients do not follow from their parameters are
+        searched as all others.
     options : CalibrationOptions, optional
         Options of the adjustment.
 
@@ -133,7 +120,7 @@ def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis:
     return replace(one, effects=(*effects, *one.effects))
 
 
-def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters]) -> tuple[GivenEffect, ...]:
+def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -> tuple[GivenEffect, ...]:
     """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters."""
     by_label = {one.label: one for one in stated}
     found = []

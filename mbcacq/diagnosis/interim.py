@@ -91,9 +91,7 @@ class InterimEvidence:
         prior, there = SetPrior.of(self.problem.candidates, 1), {(c.name, c.where) for c in present}
         scored = evidence_of_candidates(found.conditioned, self.problem.candidates)
         logs = [
-            s.log_evidence + prior.log_probability(s.candidate, present)
-            for s in scored
-            if (s.candidate.name, s.candidate.where) not in there
+            log + prior.log_probability(m.candidate, present) for log, m in scored if (m.candidate.name, m.candidate.where) not in there
         ]
         return float(np.exp(min(np.logaddexp.reduce(logs), 50.0))) if logs else 0.0
 

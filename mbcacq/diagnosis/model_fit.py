@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence, kept_centres, with_untried_rivals
+from mbcacq.diagnosis.evidence.evidence_fit import compared, fit_evidence, kept_centres, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis

@@ -213,9 +213,10 @@ class EvidenceSearch:
 
 
 @dataclass(frozen=True)
-class RankedSets:
+class EvidenceFit:
     """All sets that were compared, the most probable first, the empty one (``none``) among them. log_e_value: of all effects together
-    against none; above ``least`` there is an effect. prior: of the sets. cut_short: time ran out before all was compared.
+    against none; above ``least`` there is an effect. prior: of the sets. cut_short: time ran out before all was compared. linear: the
+    rows at the linearisation of the best one, without discrepancy.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -224,6 +225,7 @@ class RankedSets:
     least: float
     prior: SetPrior
     cut_short: bool = False
+    linear: Any = None
 
     def log_prior_of(self, member: Member, hypothesis: Hypothesis) -> float:
         """Log prior probability of an effect next to the others of a set."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import NotSeparable
@@ -54,7 +54,7 @@ class BetweenSets:
     at_best: ByEffect
 
     @classmethod
-    def of(cls, fit: RankedSets) -> BetweenSets:
+    def of(cls, fit: EvidenceFit) -> BetweenSets:
         """Of the sets of a fit."""
         reported = reported_hypothesis(fit) if fit.significant else fit.none
         best = max(fit.hypotheses[0].log_posterior, reported.log_posterior)
@@ -88,7 +88,7 @@ class BetweenSets:
         return sorted(found, key=lambda one: -one[0].log_posterior)
 
 
-def alternatives_to(fit: RankedSets, reported: Hypothesis) -> list[tuple[Hypothesis, frozenset[str]]]:
+def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Hypothesis, frozenset[str]]]:
     """Sets that the evidence does not exclude in favour of the reported one: others, and those with a further effect beside which reported
     ones (``name:where``) are others.
 
@@ -99,7 +99,7 @@ def alternatives_to(fit: RankedSets, reported: Hypothesis) -> list[tuple[Hypothe
     return [*others, *(BetweenSets.of(fit).changing() if fit.significant else [])]
 
 
-def pairs_not_separable(fit: RankedSets) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
+def pairs_not_separable(fit: EvidenceFit) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
     """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect."""
     if not fit.significant:
         return []

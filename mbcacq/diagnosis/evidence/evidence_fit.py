@@ -8,11 +8,11 @@ the effects that were not tried (``with_untried_rivals``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, solution, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
@@ -49,13 +49,6 @@ def kept_centres(hypothesis: Hypothesis) -> np.ndarray:
     broad = np.r_[[OPTIONS.outlier_mm] * 3, [OPTIONS.outlier_rad] * 3][: linear.width]
     S[:, np.arange(linear.width), np.arange(linear.width)] += broad**2
     return log_density > np.log(OPTIONS.outlier_prior) - 0.5 * np.linalg.slogdet(S)[1]
-
-
-@dataclass(frozen=True)
-class EvidenceFit(RankedSets):
-    """The sets of effects of poses. linear: the linearisation of the best one, without discrepancy."""
-
-    linear: LinearProblem = field(kw_only=True)
 
 
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
@@ -118,8 +111,8 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     everything, prior = start.restricted(np.ones(len(plain), dtype=bool)), SetPrior.of(problem.candidates, 1)
     scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several or c.hyper is None])
     tried = [(plain, log_with_outliers((), start, 0.0))]
-    for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
-        members, log_prior = (Member(one.candidate, one.hyper, one.log_mass),), prior.log_probability(one.candidate, [])
+    for _, member in sorted(scored, key=lambda one: -one[0])[: OPTIONS.beam]:
+        members, log_prior = (member,), prior.log_probability(member.candidate, [])
         keep = kept_centres(under(everything, members, log_prior))
         tried.append((keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
     return max(tried, key=lambda one: one[1])[0]

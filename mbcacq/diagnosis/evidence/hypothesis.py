@@ -16,6 +16,7 @@ import numpy as np
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member, slices_of
+from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
@@ -192,19 +193,28 @@ def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray
     return log_density + expected - 0.5 * float(np.linalg.slogdet(information)[1])
 
 
+def is_common(candidate: Candidate) -> bool:
+    """Whether every arm has the effect."""
+    return catalogue.declaration(candidate.name).every_arm and not candidate.rows.extends
+
+
 @dataclass(frozen=True)
 class SetPrior:
     """Prior probabilities of sets: every kind alike, every location of a kind alike, but those that most arms of a class have beside
-    another. locations: number of candidates of each kind; given: effects (``name:where``) that are there whatever the set.
+    another. locations: number of candidates of each kind; given: effects (``name:where``) that are there whatever the set; odds_of_common:
+    that an effect which every arm has (friction, elastic joints, drives that lag) shows, where it has odds of its own.
     """
 
     locations: Counter[str]
     unmodelled_locations: int
     given: frozenset[str] = frozenset()
+    odds_of_common: float | None = None
 
     @classmethod
-    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int, given: Collection[str] = ()) -> SetPrior:
-        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1), frozenset(given))
+    def of(
+        cls, candidates: Collection[Candidate], unmodelled_locations: int, given: Collection[str] = (), odds_of_common: float | None = None
+    ) -> SetPrior:
+        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1), frozenset(given), odds_of_common)
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
@@ -216,6 +226,8 @@ class SetPrior:
 
     def of_one(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of an effect that is not usual beside those present."""
+        if self.odds_of_common is not None and is_common(candidate):
+            return float(np.log(self.odds_of_common))
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
     def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import (
-    ScoredEffect,
+    Scored,
     evidence_of_candidate,
     evidence_of_candidates,
     evidence_of_one,
@@ -106,11 +106,8 @@ class PoseSearch(EvidenceSearch):
 
     def further(self, node: Hypothesis, candidates: list[Candidate], least: float) -> list[tuple[float, Member]]:
         present = [m.candidate for m in node.members]
-        possible = [
-            self.weighted(scored, present)
-            for scored in evidence_of_candidates(node.conditioned, candidates)
-            if self.allowed(scored.candidate, present)
-        ]
+        scored = evidence_of_candidates(node.conditioned, candidates)
+        possible = [self.weighted(one, present) for one in scored if self.allowed(one[1].candidate, present)]
         for candidate in self.dependent(node):
             if not any(c.name == candidate.name for c in present):
                 possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
@@ -136,10 +133,10 @@ class PoseSearch(EvidenceSearch):
             out += coupling.candidates(self.context, there)
         return out
 
-    def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
-        return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member(
-            scored.candidate, scored.hyper, scored.log_mass
-        )
+    def weighted(self, scored: Scored, present: Sequence[Candidate]) -> tuple[float, Member]:
+        """Log posterior odds of a scored effect."""
+        log, member = scored
+        return log + self.prior.log_probability(member.candidate, present), member
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         if candidate.several:

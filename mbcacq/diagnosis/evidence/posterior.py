@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
@@ -14,7 +14,7 @@ from mbcacq.effects.declaration import EffectCoupling
 MOST_LOG_ODDS = 30.0  # larger ones are no more certain, and would overflow
 
 
-def reported_hypothesis(fit: RankedSets) -> Hypothesis:
+def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
     """The smallest subset of the most probable set whose posterior odds against that set exceed 1 : 20. An effect that shows only through
     another one needs the same odds against sets with that other one alone.
     """
@@ -39,7 +39,7 @@ def is_coupled(hypothesis: Hypothesis) -> bool:
     return bool(couplings_of(hypothesis.members))
 
 
-def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
+def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
     """Effects that show only through another one and that the reported set, which has none, does not exclude: their couplings, with the
     odds of the most probable set that has one.
     """
@@ -54,7 +54,7 @@ def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectC
     return list(best.values())
 
 
-def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> dict[str, float]:
+def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> dict[str, float]:
     """What else (``name:where``) could stand in the place of a reported effect, with its odds relative to the reported set, most probable
     first: beside the other reported ones, or beside those of the most probable set.
     """
@@ -70,7 +70,7 @@ def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> dict[s
     return dict(sorted(best.items(), key=lambda one: -one[1]))
 
 
-def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
+def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
     """Sets that are neither part nor extension of the reported one, and have more than a twentieth of its probability."""
     least = reported.log_posterior + np.log(OPTIONS.undecided)
     out: dict[frozenset[str], Hypothesis] = {}

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from mbcacq.diagnosis.effect_found import Alternative
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.determination import at_bound
@@ -76,7 +76,7 @@ class MotionFit:
         Torque by which the links differ from their description, as fitted.
     load_error : list[ndarray]
         (T, J, r) by run, what independent errors of standard deviation 1 change of the torque that passes the gears.
-    sets : RankedSets or None
+    sets : EvidenceFit or None
         Sets of effects that were compared.
     load_alternatives : list[NotSeparable]
         Other loads that they do not exclude.
@@ -101,7 +101,7 @@ class MotionFit:
     split: str
     links: ByRun
     load_error: list[np.ndarray]
-    sets: RankedSets | None = None
+    sets: EvidenceFit | None = None
     inertial: np.ndarray | None = None
     load_alternatives: list[NotSeparable] = field(default_factory=list)
 
@@ -193,7 +193,7 @@ def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, 
     return list(out.values())
 
 
-def _averaged(effects: list[FittedEffect], sets: RankedSets | None) -> list[FittedEffect]:
+def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[FittedEffect]:
     """The effects with the parameters as all sets state them that are not excluded."""
     if sets is None or not sets.significant:
         return effects

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, stands_for_untried
+from mbcacq.diagnosis.evidence.evidence_fit import stands_for_untried
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import relative_odds, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
@@ -33,7 +33,7 @@ def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
 
 
 def summary_of(
-    sets: RankedSets, untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(), poses: int = 0, sentences: tuple[str, ...] = ()
+    sets: EvidenceFit, untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(), poses: int = 0, sentences: tuple[str, ...] = ()
 ) -> EvidenceSummary:
     """The sets that are near the most probable one, and the empty one. untried: keys of the effects in
     it that stand for what was not tried.
@@ -44,7 +44,7 @@ def summary_of(
     return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, sentences)
 
 
-def shown(sets: RankedSets) -> list[Hypothesis]:
+def shown(sets: EvidenceFit) -> list[Hypothesis]:
     """The sets that are near the most probable one, and the empty one."""
     best = sets.hypotheses[0].log_posterior
     return [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
@@ -62,7 +62,7 @@ def widened(hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, members=members)
 
 
-def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
+def effects_of(sets: EvidenceFit, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
     each = zip(hypothesis.members, solved.slices(), strict=True)
     return tuple(
@@ -71,7 +71,7 @@ def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untr
     )
 
 
-def compared_effect(sets: RankedSets, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool) -> ComparedEffect:
+def compared_effect(sets: EvidenceFit, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool) -> ComparedEffect:
     """An effect of a set, whose coefficients are c (k,) with covariance v (k, k)."""
     candidate, before = member.candidate, np.diag((member.size * member.candidate.typical) ** 2)
     with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number

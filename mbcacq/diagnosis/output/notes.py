@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import LEAST_APART
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -90,7 +90,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     ]
 
 
-def other_covariates(fit: RankedSets, reported: Hypothesis) -> list[str]:
+def other_covariates(fit: EvidenceFit, reported: Hypothesis) -> list[str]:
     """One sentence for each reported effect that depends on another recorded quantity about as probably (two thermometers, say)."""
     own = {m.label: m.candidate.depends_on for m in reported.catalogued}
     found: dict[tuple[str, str], float] = {}
