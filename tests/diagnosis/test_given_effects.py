@@ -106,7 +106,7 @@ def test_the_evidence_with_a_given_effect_is_that_of_its_prior_in_all_rows(recor
         problem = prepare(few, options_for(few, CalibrationOptions()))
         plain, noise = problem.linear, replace(problem.noise, joint=np.full(6, 5e-6))
         given = given_effects(problem, of_motion(4e-6, 2e-7))
-        terms = [as_displaced(g) for g in given]
+        terms = as_displaced(plain, given)
         together = LinearProblem.of(few, plain.state, plain.keep, layout=plain.layout, given=terms)
         ours = [
             NoisePoint(one, problem.prior_noise, pack(noise)).with_effects(one.extended(np.zeros((*one.residual.shape, 0)), np.zeros(0)))

@@ -15,7 +15,6 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import GivenEffect
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -29,9 +28,9 @@ def couplings_of(members: Sequence[Member]) -> tuple[EffectCoupling, ...]:
     return tuple(c for name in names if (c := catalogue.declaration(name).coupling) is not None)
 
 
-def given_through(given: Sequence[GivenEffect], coupling: EffectCoupling) -> dict[Where, float]:
+def given_through(given: EffectSet, coupling: EffectCoupling) -> dict[Where, float]:
     """Location -> mean of the coefficient of the given effects through which a coupled one shows."""
-    return {g.candidate.where: float(g.mean[0]) for g in given if g.candidate.name == coupling.through}
+    return {m.candidate.where: float(m.coefficients[0]) for m in given.with_coefficients if m.candidate.name == coupling.through}
 
 
 def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> Hypothesis:

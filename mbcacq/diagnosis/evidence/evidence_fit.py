@@ -84,7 +84,7 @@ def compared(
     alternatives, narrow, staged: of the search (see there).
     """
     blocks = UnmodelledEffects(problem.design_blocks)
-    prior = SetPrior.of(problem.candidates, blocks.locations, [g.candidate.label for g in problem.given])
+    prior = SetPrior.of(problem.candidates, blocks.locations, problem.given.labels)
     search = PoseSearch(
         candidates=problem.candidates,
         prior=prior,
@@ -145,10 +145,7 @@ def with_untried_rivals(problem: DiagnosisProblem, fit: EvidenceFit) -> Evidence
         return fit
     rivals = untried(problem.context, problem.candidates)
     locations = len(problem.design_blocks.locations)
-    prior, known = (
-        SetPrior.of(problem.candidates, locations, [g.candidate.label for g in problem.given]),
-        {h.key: h for h in fit.hypotheses},
-    )
+    prior, known = (SetPrior.of(problem.candidates, locations, problem.given.labels), {h.key: h for h in fit.hypotheses})
     for base in {h.key: h for h in (fit.best, reported_hypothesis(fit))}.values():
         for rival in rivals:
             instead = replaced(base, rival, prior)

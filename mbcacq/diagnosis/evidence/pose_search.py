@@ -17,8 +17,7 @@ from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_throug
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, under
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import GivenEffect
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
@@ -42,7 +41,7 @@ class PoseSearch(EvidenceSearch):
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects
     context: Context
-    given: Sequence[GivenEffect] = ()
+    given: EffectSet = NO_EFFECTS
     staged: bool = False
 
     def begun(self, best: Hypothesis) -> Hypothesis:
@@ -118,7 +117,7 @@ class PoseSearch(EvidenceSearch):
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload, say, shows through elastic joints."""
-        names = {*(m.candidate.name for m in node.members), *(g.candidate.name for g in self.given)}
+        names = {*(m.candidate.name for m in node.members), *self.given.names}
         possible = [c for c in catalogue.couplings() if c.through in names]
         if not possible:
             return []

@@ -93,33 +93,28 @@ class GramProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedGram:
-    """Gram matrices (J, c + 1, c + 1) of the base and of effects, the latter in typical sizes, mismatch last; base_weight: prior weights
-    of the first columns.
-    """
-
-    gram: np.ndarray
-    base_weight: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class GramPoint:
     """A group of channels at one noise; theta: (J,) logarithms of the variances."""
 
     problem: GramProblem
     theta: np.ndarray
 
-    def extended(self, members: Sequence[Member]) -> ExtendedGram:
+    @property
+    def base_weight(self) -> np.ndarray:
+        """Prior weights of the columns that are always there."""
+        return self.problem.prior[self.problem.base] ** -2.0
+
+    def extended(self, members: Sequence[Member]) -> np.ndarray:
+        """(J, c + 1, c + 1) Gram matrices of the base and of effects, the latter in typical sizes, mismatch last."""
         problem = self.problem
         ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
-        gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
-        return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
+        return problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
 
-    def with_effects(self, extended: ExtendedGram) -> NormalSystem:
-        normal = np.einsum("j,jab->ab", np.exp(-self.theta), extended.gram)
-        g = len(extended.base_weight)
-        root = cholesky_of(normal[:g, :g], extended.base_weight)
+    def with_effects(self, extended: np.ndarray) -> NormalSystem:
+        """The normal equations of effects beyond the base. extended: Gram matrices with their columns."""
+        normal, g = np.einsum("j,jab->ab", np.exp(-self.theta), extended), len(self.problem.base)
+        root = cholesky_of(normal[:g, :g], self.base_weight)
         reduced = solve_triangular(root, normal[:g, g:], lower=True, check_finite=False)
         rest = normal[g:, g:] - reduced.T @ reduced
         floor = float(self.problem.count @ (self.problem.least * np.exp(-self.theta)))
@@ -127,11 +122,11 @@ class GramPoint:
         log_likelihood = -0.5 * (log_det + float(rest[-1, -1]) + floor)
         return NormalSystem(rest[:-1, :-1], rest[:-1, -1], log_likelihood, partial(self.score, extended))
 
-    def score(self, extended: ExtendedGram, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def score(self, gram: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and information of the log likelihood by theta, with the effects in place. weight (k,): prior weight of each."""
-        gram, problem, inverse_variance = extended.gram, self.problem, np.exp(-self.theta)
+        problem, inverse_variance = self.problem, np.exp(-self.theta)
         normal = np.einsum("j,jab->ab", inverse_variance, gram)
-        root = cholesky_of(normal[:-1, :-1], np.r_[extended.base_weight, weight])
+        root = cholesky_of(normal[:-1, :-1], np.r_[self.base_weight, weight])
         inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
         covariance = inverse.T @ inverse
         residual = np.append(-covariance @ normal[:-1, -1], 1.0)
@@ -188,7 +183,7 @@ class ConditionedGram:
         normal = problem.weighted(np.exp(-point.theta), corrected(members))
         ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         known = [(m.size * m.candidate.typical) ** -2.0 for m in members]
-        root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([problem.prior[problem.base] ** -2.0, *known]))
+        root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([point.base_weight, *known]))
         return cls(normal, solve_triangular(root, normal[ids], lower=True, check_finite=False))
 
     def beyond(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -46,7 +46,9 @@ class Member:
 
     @property
     def key(self) -> tuple[str, float]:
-        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
+        """Identifies it in a set, in which hyper-parameters that round alike are one."""
+        digits, value = self.candidate.rows.hyper_digits, self.hyper or 0.0
+        return self.candidate.key, value if digits is None else round(value, digits)
 
     @property
     def in_typical_sizes(self) -> float:
@@ -102,6 +104,15 @@ class EffectSet:
     def with_coefficients(self) -> tuple[Member, ...]:
         """The effects, each with its coefficients."""
         return tuple(replace(m, coefficients=self.coefficients[p]) for m, p in zip(self.members, self.slices(), strict=True))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(m.label for m in self.members)
+
+    @property
+    def std(self) -> np.ndarray:
+        """(k,) standard deviation of each coefficient."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def names(self) -> tuple[str, ...]:
