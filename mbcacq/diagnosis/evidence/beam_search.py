@@ -7,7 +7,7 @@ The search is one for poses and for motion. What a recording is made of, and whi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -244,6 +244,21 @@ class EvidenceFit:
     def best(self) -> Hypothesis:
         """The most probable set where there is an effect at all, else the empty one."""
         return next(h for h in self.hypotheses if h.members) if self.significant else self.none
+
+
+def linearised_anew(first: EvidenceFit, again: Callable[[EvidenceFit, EvidenceFit | None], EvidenceFit | None], most: int) -> EvidenceFit:
+    """The sets of a recording that is linearised anew with the best set in place, as long as that changes it.
+
+    again: gets a fit and the one before it, if there is one, and returns the fit at the linearisation of the first; None where it stays.
+    most: how often.
+    """
+    before, fit = None, first
+    for _ in range(most):
+        new = again(fit, before)
+        if new is None:
+            break
+        before, fit = fit, new
+    return fit
 
 
 def without_each(members: Sequence[Member]) -> list[tuple[Member, ...]]:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, linearised_anew, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, solution, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
@@ -54,21 +55,20 @@ def kept_centres(hypothesis: Hypothesis) -> np.ndarray:
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
     """The hypotheses of a recording, outliers judged with the best of them in place; what else each effect could be is asked at the end."""
     linear = problem.linear.restricted(readmitted(problem))
-    fit = compared(problem, linear, pack(problem.noise))
-    for _ in range(OPTIONS.passes):
-        if fit.cut_short:
-            break
-        before = fit.best.key
-        kept = judged_centres(fit)
-        if not fit.best.members and np.array_equal(kept, linear.keep):
-            break
-        displaced = displacements(fit.best)
-        linear = relinearized(linear, fit.best).restricted(kept)
-        wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        fit = replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
-        if fit.best.key == before:
-            break
-    return fit
+    return linearised_anew(compared(problem, linear, pack(problem.noise)), partial(_compared_anew, problem), OPTIONS.passes)
+
+
+def _compared_anew(problem: DiagnosisProblem, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
+    """The sets at the linearisation of the best one, with its outliers left out; None where both stay, or time is over."""
+    if fit.cut_short or (before is not None and fit.best.key == before.best.key):
+        return None
+    kept = judged_centres(fit)
+    if not fit.best.members and np.array_equal(kept, fit.linear.keep):
+        return None
+    displaced = displacements(fit.best)
+    linear = relinearized(fit.linear, fit.best).restricted(kept)
+    wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
+    return replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
 
 
 def compared(

@@ -7,12 +7,13 @@ hyper-parameters and the load are estimated anew, and periodic components are lo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, linearised_anew, log_e_value
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
@@ -59,26 +60,22 @@ class EffectSelection:
     def run(self) -> None:
         """Start with what every arm may have; change the set as long as that makes it more probable; report what the evidence shows."""
         self.model.selected = [forms[len(forms) // 2] for forms in self.pool.usual()]
-        settle = True
-        for _ in range(MOST_PASSES):
-            if self.budget.spent and not settle:
-                break
-            best = self._compared(settle=settle).hypotheses[0]
-            before, after = self._forms(), frozenset(m.candidate.form for m in best.members)
-            if not settle and after == before:
-                best = self._grown(best)
-                after = frozenset(m.candidate.form for m in best.members)
-                if after == before:
-                    break
-            self._left_out |= set() if settle else before - after  # what came and went is not asked again
-            settle = False
-            self._take(best)
+        linearised_anew(self._compared(settle=True), self._compared_anew, MOST_PASSES)
         self.sets = self._compared(alternatives=self.model.store.whole)
         self._report(self.sets)
         self.pool.forget_step()
 
-    def _forms(self) -> frozenset:
-        return frozenset(e.candidate.form for e in self.model.selected)
+    def _compared_anew(self, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
+        """The sets near the most probable one, linearised with that in place; None where nothing is beyond it, or time is over."""
+        best, selected = fit.hypotheses[0], _forms(self.model.selected)
+        if before is not None:
+            if _forms(best.members) == selected:
+                best = self._grown(best)
+                if _forms(best.members) == selected:
+                    return None
+            self._left_out |= selected - _forms(best.members)  # what came and went is not asked again
+        self._take(best)
+        return None if self.budget.spent else self._compared()
 
     def _compared(self, settle: bool = False, alternatives: bool = False) -> EvidenceFit:
         """The sets near the present one, in the present linearisation."""
@@ -190,6 +187,10 @@ class EffectSelection:
         out = model.held_out_mean_square(chosen, model.fold_normals(weights))
         model.store.correct_delay(delay)
         return out
+
+
+def _forms(members: Sequence[Member]) -> frozenset:
+    return frozenset(m.candidate.form for m in members)
 
 
 def _relinearises(candidate: Candidate) -> bool:
