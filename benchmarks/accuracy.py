@@ -24,8 +24,8 @@ from hand_eye_data import ARTEFACT_IN_SCANNER, BALLS, POSE_SIGMA, TARGET_IN_BASE
 from profile_data import observed, profiles
 
 import mbcacq
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS, artefact_poses
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters

@@ -26,7 +26,6 @@ from mbcacq_fakes.world.options import parse
 from scipy.optimize import least_squares
 
 import mbcacq
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.transfer import TransferFigures, check_transfer
 from mbcacq.calibration.verification import verification_poses
 from mbcacq.challenge import simulated_cells
@@ -36,6 +35,7 @@ from mbcacq.exports.scan_correction import place_scan
 from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.recording.rrd.scan_export import scans_to_write

@@ -24,14 +24,13 @@ from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong
 from mbcacq_fakes.cell import computed_run
 
 from mbcacq import load_observations
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError, MbcacqError
 from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3

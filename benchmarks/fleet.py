@@ -23,7 +23,7 @@ import cells
 import numpy as np
 from bench import HERE, MBCACQ
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.fleet.arm_prior import population, read_priors

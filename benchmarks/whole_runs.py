@@ -26,8 +26,8 @@ from bench import MBCACQ, PLANS, ROOT, option
 from scipy.stats import chi2
 
 import mbcacq
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.devices import load_driver
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3

@@ -25,9 +25,8 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import first_noise, noise_prior
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import NoisePrior
+from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior
 from mbcacq.plan import expand, load
 
 NAMES = ("seeing", "kuka", "paper")

@@ -34,7 +34,7 @@ def _alter(step: int, plan: dict[str, Any]) -> None:
 
 def make_inputs(work: Path) -> None:
     """Observation sets a and b, their results, a finished run, a torn one, and what else the commands take."""
-    from mbcacq.calibration.sealed_json import sealed_text
+    from mbcacq.model.json_text import sealed_text
 
     for seed, name in enumerate("ab"):
         make(command("simulate", PLANS / "kuka.yaml", "--noise", "--seed", seed, "--out", work / name))

@@ -10,8 +10,8 @@ from bench import PLANS
 from cells import inverse_kinematics, measure
 from mbcacq_fakes.world.arm import paper_errors
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.staged import stages
 from mbcacq.calibration.staged.ball_pairs import several_balls
 from mbcacq.estimation.forward_model import CellState

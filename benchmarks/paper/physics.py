@@ -11,8 +11,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.staged.ball_pairs import several_balls
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
@@ -53,7 +53,7 @@ def judge(obs, method: str) -> Judged:
 
 def with_repeatability(obs, urad: float):
     """The recording with a stated repeatability that amounts to ``urad`` at each joint."""
-    from mbcacq.estimation.noise import first_noise
+    from mbcacq.estimation.variance_components import first_noise
 
     one = first_noise(replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1.0))).joint.mean()
     return replace(obs, cell=replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1e-6 * urad / float(one))))

@@ -11,7 +11,7 @@ from bench import HERE, put
 from scipy.spatial import KDTree
 
 import mbcacq
-from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
+from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.model.observations import Observations

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.description import wrong_descriptions
+from mbcacq.calibration.description import wrong_descriptions
 from mbcacq.model.observations import Observations
 from mbcacq.recording import load_observations
 
@@ -99,8 +99,8 @@ CASES: tuple[tuple[str, str, Mistake, str], ...] = (
 def descriptions(given: argparse.Namespace) -> None:
     """Twenty wrong descriptions of three measured recordings: is the mistake named?
 
-    A mistake is made in the arrays (angles, points, orientation, cell), then sought by ``mbcacq.description`` with its quick fit. It
-    counts as named when the first change offered, or one said to fit as well, undoes it; a recording as it is must be left alone.
+    A mistake is made in the arrays (angles, points, orientation, cell), then sought by ``mbcacq.calibration.description`` with its quick
+    fit. It counts as named when the first change offered, or one said to fit as well, undoes it; a recording as it is must be left alone.
     Prints the page.
     """
     recordings = {name: load_observations(given.data / name) for name in (FIRST, SECOND, THIRD)}

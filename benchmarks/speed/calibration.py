@@ -16,14 +16,14 @@ import numpy as np
 from bench import HERE, machine
 from cells import measure, scanner_cell, tracker_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.initial_guess import start
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3

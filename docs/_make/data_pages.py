@@ -18,7 +18,6 @@ from mbcacq.workflow.diagnosis_result import DiagnosisResult
 DATA = Path(__file__).resolve().parents[1] / "data"
 BLOCK = re.compile(r"^(<!-- printed by mbcacq diagnose (\S+) -->\n```text\n)(.*?)(^```$)", re.DOTALL | re.MULTILINE)
 NOT_IN_WORDS = ("evidence", "provenance", "dropped", "recordings")  # keys of a diagnosis, a third of its size
-NOT_SHOWN = re.compile(r"Note: .* was not considered: |  \S+ phase ")  # what the recording lacks, and phases: dozens of lines
 
 
 def kept(text: str) -> str:
@@ -36,8 +35,7 @@ def kept(text: str) -> str:
 
 def printed(name: str) -> str:
     """What a page shows of the diagnosis of a set."""
-    words = DiagnosisResult.from_json((DATA / f"{name}.words.json").read_text(encoding="utf-8")).text
-    return "".join(f"{line}\n" for line in words.splitlines() if not NOT_SHOWN.match(line))
+    return DiagnosisResult.from_json((DATA / f"{name}.words.json").read_text(encoding="utf-8")).text + "\n"
 
 
 def refreshed(page: str) -> str:

@@ -12,23 +12,19 @@ import numpy as np
 from mbcacq.calibration import notebook, result_io, verification
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.length_budget import length_budget
-from mbcacq.calibration.observability import arm_indices
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter, adjusted_fit, parameters_of
-from mbcacq.calibration.result_content import result_file
-from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
-from mbcacq.calibration.same_arm import refuse_other_arm
-from mbcacq.calibration.sealed_json import sealed_text, unsealed
-from mbcacq.calibration.uncertainty import without_rigid_motion
+from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_file, result_of
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.verification import Limits, Verification, judge, verification_poses
 from mbcacq.calibration.verified_lengths import verified_lengths
+from mbcacq.calibration.workspace_accuracy import arm_indices, expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
-from mbcacq.estimation import identifiability
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json
+from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json, sealed_text, unsealed
 from mbcacq.model.observations import Observations
 
 if TYPE_CHECKING:
@@ -270,16 +266,7 @@ class CalibratedCell(CellEstimate):
         ConfigError
             The cell was read from result.json, which holds no observations.
         """
-        obs = self.fit.observations
-        if not self.effects:
-            information = identifiability.workspace_information(obs, self.state, self.layout, postures, seed)
-            return float(np.sqrt(max(np.sum(information * self.covariance), 0.0)))
-        seen = identifiability.typical_points(obs)
-        low, high = self.state.chain.drawn_between(obs.cell.robot.limits)
-        drawn = np.random.default_rng(seed).uniform(low, high, size=(postures, obs.cell.robot.n))
-        q, xyz = np.repeat(drawn, len(seen), axis=0), np.tile(seen, (postures, 1))
-        A = without_rigid_motion(self.point_columns(q, xyz), self.to_base(q, xyz)).reshape(3 * len(q), -1)
-        return float(np.sqrt(max(np.sum((A @ self.covariance) * A), 0.0) / len(q)))
+        return expected_accuracy(self, self.fit.observations, postures, seed)
 
     def took_part(self, observations: Observations) -> bool | None:
         """Whether any of these poses took part in the calibration.

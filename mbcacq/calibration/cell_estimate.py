@@ -1,18 +1,20 @@
-"""The estimated model of a cell: where it puts points, and how uncertain they are."""
+"""The estimated model of a cell: where it puts points, how uncertain they are, and the derivatives and the noise that make them so."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.uncertainty import fill_effect_columns, measuring_terms, single_points
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -195,3 +197,52 @@ class CellEstimate:
         """
         row = self.distance_columns(qa, a, qb, b)[1]
         return np.sqrt(np.sum(row @ self.covariance * row, axis=1))
+
+
+def single_points(effects: EffectModel, q: np.ndarray, xyz: np.ndarray) -> Observations:
+    """Scanner points xyz (P, 3) mm, one seen from each posture q (P, n) rad, as observations at which effects can be evaluated."""
+    index = np.arange(len(q))
+    return replace(effects.poses(q), pose=index, ball=np.zeros(len(q), dtype=int), xyz=np.asarray(xyz, dtype=float))
+
+
+def fill_effect_columns(
+    A: np.ndarray, names: Sequence[str], state: CellState, effects: EffectModel, q: np.ndarray, xyz: np.ndarray
+) -> None:
+    """Write the derivatives of the base position of xyz (P, 3) mm, seen from q (P, n) rad, by the coefficients of effects into A.
+
+    Parameters
+    ----------
+    A : ndarray
+        (P, 3, g), changed in place.
+    names : sequence of str
+        Names of its g columns; effects that are not among them are held.
+    """
+    position = {name: j for j, name in enumerate(names)}
+    here = Covariates(single_points(effects, q, xyz))
+    F = state.chain.frames(q)
+    T = F[:, -1] @ state.T_flange_scanner
+    point = se3.apply(T, xyz)
+    joints = state.chain.joint_twists(F)
+    for one in effects.terms:
+        if one.names[0] not in position:
+            continue  # held
+        columns = np.zeros((len(q), 3, one.k))
+        for part in one.parts_at(here, effects.learnt):
+            if part.place in ("joint", "frame"):
+                twist = joints[:, part.index] if part.place == "joint" else se3.adjoint(F[:, part.index])[:, :, part.component]
+                moved = twist[:, :3] + np.cross(twist[:, 3:], point)
+                columns += moved[:, :, None] * part.basis[:, None, :]
+            elif part.place == "point":
+                columns -= T[:, :3, part.component, None] * part.basis[:, None, :]
+        A[:, :, [position[name] for name in one.names]] = columns
+
+
+def measuring_terms(state: CellState, noise: Noise, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scanner noise, and joint repeatability, of one measurement: (P, 3, 3) mm^2 each, in the base."""
+    frames = state.chain.frames(q)
+    T = frames[:, -1] @ state.T_flange_scanner
+    point = se3.apply(T, xyz)
+    twists = state.chain.joint_twists(frames)
+    joint = (twists[..., :3] + np.cross(twists[..., 3:], point[:, None])) * noise.joint[:, None]
+    turned = T[:, :3, :3] * noise.point
+    return turned @ np.swapaxes(turned, 1, 2), np.swapaxes(joint, 1, 2) @ joint

@@ -14,10 +14,10 @@ import numpy as np
 from mbcacq.estimation import terms
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linear_problem import ExtendedProblem
+from mbcacq.estimation.normal_equations import Prior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import HAND_EYE
 from mbcacq.estimation.pose_information import WeightedRows
-from mbcacq.estimation.prior import Prior
 from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.step_test import Steps, StepTest, measuring_order
 from mbcacq.estimation.variance_components import log_restricted_posterior, restricted_maximum_likelihood

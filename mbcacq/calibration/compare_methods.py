@@ -15,8 +15,7 @@ from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, pr
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed

@@ -16,9 +16,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import about_best_station, gross, held_out_masks, prediction_error, rms
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, thin
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.solver import solve
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
 

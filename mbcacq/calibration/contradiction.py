@@ -11,18 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.causes import beyond_noise, exchanged_balls, fault_of, misdescribed
+from mbcacq.calibration.description import misdescribed
+from mbcacq.calibration.description_hypotheses import exchanged_balls
+from mbcacq.calibration.recording_faults import beyond_noise, fault_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import solve
-from mbcacq.estimation.variance_components import reml_score_and_information
+from mbcacq.estimation.variance_components import first_noise, reml_score_and_information
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations

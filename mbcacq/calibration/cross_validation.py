@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, ball_spread, held_out_masks, prediction_error, rms
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 

@@ -9,14 +9,14 @@ from typing import Literal, Self
 import numpy as np
 
 from mbcacq.calibration.cell_estimate import CellEstimate
-from mbcacq.estimation import parameters, unknown_noise
+from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import ParameterLayout
-from mbcacq.estimation.solution import Solution
+from mbcacq.estimation.pose_information import Weights
+from mbcacq.estimation.solution import Solution, covariance_of, covariance_under_its_noise
 from mbcacq.geometry import se3
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
@@ -181,7 +181,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
     """
     lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
     obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
-    C = unknown_noise.under_the_noise(solution) if known_noise else unknown_noise.covariance(solution)
+    C = covariance_under_its_noise(solution) if known_noise else covariance_of(solution)
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())

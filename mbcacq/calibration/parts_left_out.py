@@ -13,12 +13,11 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, build
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
-from mbcacq.estimation.solver import solve
+from mbcacq.estimation.solver import one_thread, solve
 from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations
 

@@ -1,4 +1,5 @@
-"""The content of result.json, format 'mbcacq-result/1': the types here write it, read it and make its JSON Schema.
+"""The content of result.json, format 'mbcacq-result/1': the types here write it, read it and make its JSON Schema, and what they say of
+a calibrated cell.
 
 Lengths mm, angles rad; transforms are 4 x 4 row lists T_outer_inner; the covariance is of the free parameters in the order of 'names', the
 hand-eye entries being a local twist (scanner frame) behind T_flange_scanner. Further keys are allowed, and kept.
@@ -7,15 +8,18 @@ hand-eye entries being a local twist (scanner frame) behind T_flange_scanner. Fu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import ConfigDict, Field, FiniteFloat
 
-from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter, Rejected
+from mbcacq.calibration.cell_estimate import CellEstimate
+from mbcacq.calibration.observation_fit import EstimatedNoise, ObservationFit, Parameter, Rejected, parameters_of
+from mbcacq.calibration.workspace_accuracy import arm_indices
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.scan_scale import ScanScale
+from mbcacq.estimation.scan_scale import ScanScale, scale_in_words, scan_scale
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.cell import Measurement, RobotModel
@@ -191,3 +195,71 @@ def result_of(content: Any, source: str = THE_RESULT) -> ResultFile:
         if values is not None and len(values) != axes:
             raise damaged(source, f"{key}: it has {len(values)} values, and the arm has {axes} axes", CURE)
     return file
+
+
+def result_file(
+    estimate: CellEstimate, fit: ObservationFit, *, preliminary: CellState, simulated: bool, expected_accuracy_mm: float
+) -> ResultFile:
+    """The content of a result.
+
+    Parameters
+    ----------
+    estimate
+        The calibrated cell.
+    fit
+        The observations with residuals and weights.
+    preliminary
+        Nominal arm, hand-eye fitted alone.
+    simulated
+        Whether a fake cell or a model made the data.
+    expected_accuracy_mm
+        The rms uncertainty of a measured point, mm.
+
+    Returns
+    -------
+    ResultFile
+        Stations are those that took part.
+    """
+    cell, state = fit.observations.cell, estimate.state
+    noise = NoiseInResult.of(estimate.noise, oriented=fit.oriented)
+    if cell.noise_mm is not None:
+        noise = replace(noise, check_factor=tuple((estimate.noise.point / first_noise(cell).point).tolist()))
+    used = set(fit.used_stations)
+    stations = [
+        StationInResult(id=station.id, artefact=station.artefact, T_base_station=state.T_base_station[s], std=np.sqrt(np.diag(covariance)))
+        for s, (station, covariance) in enumerate(zip(cell.stations, fit.station_covariance, strict=True))
+        if s in used
+    ]
+    return ResultFile(
+        format=FORMAT,
+        method=fit.options.method,
+        measurement=cell.measurement,
+        simulated=simulated,
+        robot=RobotInResult.of(cell.robot, state.chain),
+        T_flange_scanner=state.T_flange_scanner,
+        stations=tuple(stations),
+        balls=tuple(BallInResult(b, state.balls[i]) for i, b in enumerate(cell.ball_ids)),
+        preliminary=Preliminary(preliminary.T_flange_scanner),
+        parameters=tuple(parameters_of(fit, estimate.layout, state, estimate.covariance)),
+        names=estimate.names,
+        covariance=estimate.covariance,
+        noise=noise,
+        fit=FitInResult(
+            poses=fit.used_poses,
+            centres=int(fit.used.sum()),
+            rms_mm=fit.rms_mm,
+            chi2=fit.chi2,
+            dof=fit.dof,
+            chi2_dof=fit.chi2 / fit.dof if fit.dof > 0 else None,
+            rank=fit.rank,
+            iterations=fit.iterations,
+            expected_accuracy_mm=expected_accuracy_mm,
+        ),
+        observability=arm_indices(estimate.layout, estimate.covariance, fit.used_poses),
+        scan_scale=scan_scale(fit.observations, fit.used, estimate.noise.point),
+        scale=scale_in_words(fit.observations),
+        held=estimate.layout.held,
+        correlated=tuple(Correlated((a, b), r) for a, b, r in fit.correlated),
+        rejected=fit.rejected,
+        effects=estimate.effects.to_dict() if estimate.effects else None,
+    )

@@ -1,27 +1,34 @@
-"""A calibrated cell to and from the content of result.json (``result_file``)."""
+"""A result.json read: the cell that it holds, what must be said of it, and what the recording alone says.
+
+The result of several recordings, format 'mbcacq-joint-result/1', is one result for each, all with the same arm and effects. One of them is
+named by its number behind the file: ``result.json#2`` is the cell of the second recording.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.observation_fit import Parameter
-from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.result_file import CURE, FORMAT, THE_RESULT, ResultFile, result_of
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, command_line
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.files.atomic_write import finish_set
+from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.cell import Cell
-from mbcacq.model.json_text import damaged, read_json
+from mbcacq.model.cell import SIMULATED, Cell
+from mbcacq.model.formats import newer_format
+from mbcacq.model.json_text import damage, damaged, read_json, unsealed
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
@@ -102,3 +109,120 @@ def html(result: Mapping[str, Any]) -> str:
             U = K * scale * p["std"]
             rows.append((p["name"], unit, *(pair(scale * p[key], U)[0] for key in ("value", "error")), uncertainty(U)))
     return notebook.table(f"{result['robot']['name']}, calibrated", ("parameter", "unit", "value", "error", "U (k = 2)"), rows)
+
+
+JOINT_FORMAT = "mbcacq-joint-result/1"
+
+
+def joint_content(results: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, Any]:
+    """JSON content of the results of several recordings of these names. 'day_to_day': for each coefficient of the effects on the arm its
+    values in the recordings, what they have in common and the standard deviation between them; it stands once, not in each result."""
+    day_to_day = [one.pop("day_to_day", []) for one in results][0]
+    recordings = [{"name": name, "result": one} for name, one in zip(names, results, strict=True)]
+    return {"format": JOINT_FORMAT, "recordings": recordings, "day_to_day": day_to_day}
+
+
+def split_number(path: Path) -> tuple[Path, int | None]:
+    """The file and the number of the recording in it that a path like ``result.json#2`` names; None where it names none."""
+    found = re.fullmatch(r"(.+)#(\d+)", path.name)
+    return (path, None) if path.exists() or not found else (path.with_name(found[1]), int(found[2]))
+
+
+def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: bool = False) -> Any:
+    """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
+    only what they share is asked for. Raises ConfigError where it is not said which, and where the content's checksum does not hold.
+    """
+    if isinstance(content, dict) and (sentence := newer_format(content.get("format"), (JOINT_FORMAT, FORMAT))):
+        raise ConfigError(f"{file} {sentence}")
+    content = unsealed(content, file)
+    if not isinstance(content, dict) or content.get("format") != JOINT_FORMAT:
+        if number is not None:
+            raise ConfigError(f"{file} is not of several recordings; leave out '#{number}'")
+        return content
+    try:
+        names, results = zip(*((str(one["name"]), one["result"]) for one in content["recordings"]), strict=True)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{file}: the joint result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
+    if number is None and any_of_them:
+        number = 1
+    if number is None or not 1 <= number <= len(results):
+        choice = ", ".join(f"{file}#{i + 1} ({name})" for i, name in enumerate(names))
+        raise ConfigError(f"{file} is of {len(results)} recordings with one arm, each with its own tool and stations; give one: {choice}")
+    return results[number - 1]
+
+
+UNVERIFIED = "never verified: no poses were kept apart to check these values; verify them before they are relied upon"
+
+
+def export_command(result: Mapping[str, Any], source: object) -> str:
+    """The command that writes a result for other programs, as it is accepted. A result of simulated data must be accepted as such. source:
+    its file or folder."""
+    return command_line("export", source, "--results", "results", *(("--simulated-anyway",) if result.get("simulated") else ()))
+
+
+def caveats(result: Mapping[str, Any]) -> list[str]:
+    """One sentence each, for the content of a result.json: simulated data, values without verification."""
+    verified = bool((result.get("verification") or {}).get("places") or result.get("held_out"))
+    return [*([SIMULATED] if result.get("simulated") else []), *([] if verified else [UNVERIFIED])]
+
+
+def with_warnings(result: Mapping[str, Any]) -> list[str]:
+    """The caveats, and what the calibration warned of: for whoever takes a result further and did not see how it was made."""
+    return [*caveats(result), *(str(warning) for warning in result.get("warnings") or ())]
+
+
+LEAST_SHARE = 1e-9  # share of a direction's prior variance that the data take away, below which rounding decides
+
+
+@dataclass(frozen=True)
+class OwnEstimate:
+    """The estimate of a recording without the prior of the links.
+
+    Attributes
+    ----------
+    error : Mapping[str, float]
+        Error of the arm's parameters, value minus nominal, by name.
+    covariance : ndarray
+        (g, g) of ``names``.
+    T_flange_scanner : ndarray
+        (4, 4).
+    known : bool
+        Whether the result says which prior it used (an older one does not, and its estimates then stay as they are).
+    """
+
+    names: tuple[str, ...]
+    error: Mapping[str, float]
+    covariance: np.ndarray
+    T_flange_scanner: np.ndarray
+    known: bool
+
+    def std(self, name: str) -> float:
+        """Standard deviation of one parameter, of the hand-eye translation along the scanner's axes."""
+        at = self.names.index(name)
+        return float(np.sqrt(self.covariance[at, at]))
+
+
+def without_prior(result: Mapping[str, Any]) -> OwnEstimate:
+    """The estimates of a result.json without the prior of the links. Those of balls (their certificate) and of smooth errors stay.
+
+    A prior of the size that link errors have lets every estimate lean towards nominal, by more where the poses determine less. That makes
+    the calibrated arm better; between two recordings it makes every change too small. With the posterior N(x, C) and the prior N(m, D) of
+    the links, the data alone give N(x + C_l (D - C_ll)^-1 (x_l - m), C + C_l (D - C_ll)^-1 C_l'). C_l are the columns of the links
+    (Woodbury's identity applied to the difference of the two informations).
+    """
+    names, C = tuple(map(str, result["names"])), np.array(result["covariance"], dtype=float)
+    T = np.array(result["T_flange_scanner"], dtype=float)
+    arm = {f"{p}_{i + 1}" for p in PARAMETERS for i in range(len(result["robot"]["sign"]))}
+    error = {p["name"]: float(p["error"]) for p in result["parameters"]}
+    links = [p for p in result["parameters"] if p["name"] in arm and p["status"] == "prior"]
+    if any(p.get("prior_std") is None for p in links) or not links:
+        return OwnEstimate(names, error, C, T, not links)
+    at = [names.index(p["name"]) for p in links]
+    size = np.array([float(p["prior_std"]) for p in links])
+    away = np.array([float(p["error"]) - float(p.get("prior_mean", 0.0)) for p in links])
+    value, vector = np.linalg.eigh(np.eye(len(at)) - C[np.ix_(at, at)] / size[:, None] / size)
+    root = C[:, at] / size @ (vector / np.sqrt(np.maximum(value, LEAST_SHARE)))
+    shift = root @ (vector.T @ (away / size) / np.sqrt(np.maximum(value, LEAST_SHARE)))
+    own = {name: error[name] + float(shift[i]) for i, name in enumerate(names) if name in error and not name.startswith("hand_eye.")}
+    turned = np.array([shift[names.index(f"hand_eye.{c}")] if f"hand_eye.{c}" in names else 0.0 for c in ("x", "y", "z", "rx", "ry", "rz")])
+    return OwnEstimate(names, error | own, C + root @ root.T, T @ se3.exp(turned), True)

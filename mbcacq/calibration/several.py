@@ -9,10 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from mbcacq.calibration.calibrate import calibrate_with_effects, refuse_unusable
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.estimates import with_estimates
-from mbcacq.calibration.maximum_likelihood import calibrate_with_effects, refuse_unusable
-from mbcacq.calibration.nominal_arm import with_nominal_arm
+from mbcacq.calibration.published_cell import with_estimates, with_nominal_arm
 from mbcacq.calibration.share import share_of
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
 from mbcacq.effects.covariates import Covariates
@@ -20,13 +19,11 @@ from mbcacq.effects.effect import ON_THE_ARM
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.estimation.adjustment import Adjustment, adjust
+from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
-from mbcacq.estimation.random_links import with_random_links
-from mbcacq.estimation.several_recordings import JointProblem, joint_problem
+from mbcacq.estimation.several_recordings import BetweenRecordings, JointProblem, joint_problem
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.json_text import Number, fields_as_json

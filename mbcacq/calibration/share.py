@@ -11,8 +11,8 @@ from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import HAND_EYE, ParameterLayout, build
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.model.observations import Observations
 
 

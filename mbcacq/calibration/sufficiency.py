@@ -1,4 +1,4 @@
-"""What a recording can determine: its scope, and refusals with a sentence that says what is missing.
+"""What a recording can determine: its scope, and refusals with a sentence that says what is missing, or that it is of another arm.
 
 A plan before it is executed, a run at its end and a calibration of its recording ask the same functions, and so give the same verdict.
 """
@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.errors import CalibrationError
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import ParameterLayout
-from mbcacq.estimation.phases import select_phases
 from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, uncertainty
 
@@ -168,4 +167,18 @@ def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) ->
     raise CalibrationError(
         f"the poses do not hold the arm's size: {PARAMETERS[parameter]}_{link + 1} ran away from its nominal value; "
         "let the artefact appear in different corners of the view, and add poses with larger translations"
+    )
+
+
+def refuse_other_arm(learnt: str, name: str, nominal: Chain, robot: RobotModel, other: str) -> None:
+    """Raises ConfigError where ``robot`` has another name or other nominal links than the arm learnt on, which is ``nominal`` as described.
+
+    learnt: what was learnt, as in 'the result is of'; other: what it is to be applied to, as in 'the recording'.
+    """
+    if robot.name == name and robot.chain.same_links(nominal):
+        return
+    links = ", other nominal links" if robot.name == name and robot.n == nominal.n else ""
+    raise ConfigError(
+        f"{learnt} '{name}' ({nominal.n} axes), and {other} is of '{robot.name}' ({robot.n} axes{links}); "
+        "give what was learnt on the same arm"
     )

@@ -11,22 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.held_out_poses import gross, rms
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import AsJson, Number

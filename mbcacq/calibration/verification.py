@@ -165,7 +165,7 @@ class Verification(EveryKey):
 
     def __repr__(self) -> str:
         if not self.places:
-            return "Verification(no verification poses)"
+            return "Nothing is verified: the recording has no poses that measure a certified distance."
         before, after = (np.abs(self.errors(which)) for which in ("before", "after"))
         worst = int(after.argmax())
         largest = measured(after[worst], K * (self.places[worst].judging_mm or 0.0), "mm")

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration import verification
-from mbcacq.calibration.cell_estimate import CellEstimate
+from mbcacq.calibration.cell_estimate import CellEstimate, measuring_terms
 from mbcacq.calibration.length_budget import EndVariance, length_budget
-from mbcacq.calibration.uncertainty import measuring_terms
 from mbcacq.calibration.verification import Verification
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.calibration.influence import joint_factor
+from mbcacq.calibration.recording_faults import joint_factor
 from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects import discrepancy
 from mbcacq.effects.covariates import Covariates
@@ -21,13 +21,11 @@ from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
-from mbcacq.estimation.adjustment import Adjustment, adjust
+from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
-from mbcacq.estimation.noise import first_noise, noise_prior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
-from mbcacq.estimation.random_links import with_random_links
-from mbcacq.estimation.variance_components import NoisePrior, pack
+from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior, pack
 from mbcacq.model.observations import Observations
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.estimates import with_estimates
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.published_cell import with_estimates
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
@@ -19,14 +19,12 @@ from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.one_thread import one_thread
-from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
 from mbcacq.estimation.solution import Solution, system
-from mbcacq.estimation.solver import most_probable_noise
+from mbcacq.estimation.solver import most_probable_noise, one_thread
 from mbcacq.estimation.terms import Term
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations

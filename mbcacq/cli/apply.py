@@ -41,7 +41,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     """
     import numpy as np
 
-    from mbcacq.calibration.caveats import with_warnings
+    from mbcacq.calibration.result_io import with_warnings
     from mbcacq.errors import ConfigError
     from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result

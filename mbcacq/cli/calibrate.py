@@ -141,8 +141,8 @@ def command(
     if l_curve:
         draw_l_curve(result, l_curve)
     if out:
-        from mbcacq.calibration.sealed_json import sealed_text
         from mbcacq.files.atomic_write import write_file
+        from mbcacq.model.json_text import sealed_text
 
         write_file(out, sealed_text(result))
         result["files"] = {"result": str(out)}
@@ -200,7 +200,7 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
     """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout, with
     the table of the arm or without."""
 
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.result_io import caveats
     from mbcacq.cli import tables
 
     console = terminal_console(highlight=False, soft_wrap=True)

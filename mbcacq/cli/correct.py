@@ -34,7 +34,7 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     Example: mbcacq correct weld.dat --with runs/today
     """
     import mbcacq
-    from mbcacq.calibration.caveats import with_warnings
+    from mbcacq.calibration.result_io import with_warnings
     from mbcacq.workflow.correct import LARGE_CHANGE_DEG
     from mbcacq.workflow.load import as_result, unsealed_note
 

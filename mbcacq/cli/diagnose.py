@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @click.command(name="diagnose")
 @click.argument("data", nargs=-1, required=True, type=RunPath())
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
+@click.option("--all", "whole", is_flag=True, help="Print all figures, limits and notes, not one screen of them.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
 @click.option(
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
 def command(
     data: tuple[Path, ...],
     out: Path | None,
+    whole: bool,
     as_json: bool,
     report: Path | None,
     rrd: Path | None,
@@ -164,7 +166,7 @@ def command(
         from mbcacq.files.atomic_write import write_file
 
         write_file(out, found.to_json() + "\n")
-    echo(found.to_json() if as_json else found.in_words(calibrated=with_found))
+    echo(found.to_json() if as_json else found.in_words(calibrated=with_found, whole=whole))
     for line in calibrated:
         echo(line, err=as_json)
     if not as_json:

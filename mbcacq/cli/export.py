@@ -110,7 +110,7 @@ def next_step(
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:
     """What must be known before the files are used."""
-    from mbcacq.calibration.caveats import with_warnings
+    from mbcacq.calibration.result_io import with_warnings
     from mbcacq.exports.result_json import load_result
     from mbcacq.model.cell import SIMULATED
     from mbcacq.workflow.load import unsealed_note

@@ -22,7 +22,7 @@ def say_next(what: str, command: str) -> None:
 
 def put_to_use(source: Path) -> tuple[str, str]:
     """What to do with a result in the end, and the command for it. source: its file, or the folder of it."""
-    from mbcacq.calibration.caveats import export_command
+    from mbcacq.calibration.result_io import export_command
     from mbcacq.errors import MbcacqError
     from mbcacq.exports.result_json import load_result
 

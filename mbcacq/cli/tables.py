@@ -287,7 +287,7 @@ def verification(v: dict[str, Any]) -> Table:
     An error beyond what the calibration expects of itself is marked.
     """
     table = Table(title="Sphere spacing error / mm, U with k = 2", title_justify="left")
-    for name in ("station", "balls", "certified", "before", "after", "U", "U expected"):
+    for name in ("station", "balls", "certified", "before", "after", "U of judging", "U expected"):
         table.add_column(name, justify="right", no_wrap=True)
     known = [p["judging_mm"] for p in v["places"] if p.get("judging_mm")]
     digits = max(decimal_places(K * min(known)), 0) if known else 3

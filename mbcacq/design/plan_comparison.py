@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.verification import verification_poses
 from mbcacq.design.options import OPTIONS
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for, refuse_insufficient
 from mbcacq.design.simulated_observations import planned_observations
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 

@@ -18,9 +18,8 @@ from mbcacq.estimation import parameters as blocks
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solution import system
 from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations

@@ -10,8 +10,8 @@ import numpy as np
 from mbcacq.design.options import OPTIONS
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.executor import Executor, Refit, Refitting, WorkerPool, executor
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search

@@ -27,7 +27,7 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.functions import DescribedPart
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.one_thread import one_thread
+from mbcacq.estimation.solver import one_thread
 
 Refit = Callable[[EffectModel], tuple[EffectModel | None, tuple[str, ...]]]
 

@@ -20,8 +20,8 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.posterior import Posterior
 from mbcacq.estimation.random_effect_sizes import joined
+from mbcacq.estimation.whitened_columns import Posterior
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.solver import one_thread
 from mbcacq.estimation.terms import Term, term
 from mbcacq.model.observations import Observations
 

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.evidence.between_sets import alternatives_to
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
@@ -25,8 +25,8 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError, ContradictionError
-from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.solver import one_thread
 from mbcacq.model.observations import Observations
 
 

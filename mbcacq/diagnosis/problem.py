@@ -22,8 +22,7 @@ from mbcacq.effects.functions import of, times
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations

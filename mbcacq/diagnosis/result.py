@@ -12,7 +12,7 @@ from mbcacq.diagnosis.findings import OUT_OF_TIME, EvidenceSummary, Findings
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import InJson, Number
 from mbcacq.quantities import micrometres

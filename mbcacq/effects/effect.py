@@ -114,6 +114,11 @@ class ParameterEstimate:
         values, stds = (x if isinstance(x, tuple) else (x,) for x in (self.value, self.std))
         return values, stds
 
+    def only(self, numbers: Sequence[int]) -> ParameterEstimate:
+        """The components of these numbers, counted from 0."""
+        values, stds = self.components
+        return ParameterEstimate(tuple(values[k] for k in numbers), tuple(stds[k] for k in numbers))
+
     def shown(self, unit: str, factor: float = 1.0) -> str:
         """Value and expanded uncertainty (k = 2) in a unit of which ``factor`` make one of the stored; each component by itself."""
         return ", ".join(measured(factor * v, factor * K * s, unit) for v, s in zip(*self.components, strict=True))

@@ -16,8 +16,8 @@ from mbcacq.estimation.identifiability import Undetermined, determined, still_de
 from mbcacq.estimation.initial_guess import start, with_all_stations
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
-from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.parameters import Estimate, with_common_sizes
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.solver import COARSE, made_exact, robust_solve, settle_variances, solve
 from mbcacq.model.observations import Observations
@@ -131,3 +131,27 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
             "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
         )
     return solution.estimate.state
+
+
+def with_random_links(fitted: Adjustment) -> Adjustment:
+    """An adjustment with random errors of the links in the place of free ones: what the poses hardly determine stays near the nominal arm.
+
+    With a common size for each kind of error, estimated by restricted maximum likelihood, the estimate is the best linear unbiased
+    prediction (Henderson 1975): the same where the poses determine everything, and never worse in expectation where they do not.
+
+    Parameters
+    ----------
+    fitted : Adjustment
+        With free links; what it holds stays held, and its rejections are where the new ones begin.
+
+    Returns
+    -------
+    Adjustment
+        The same where the links are to be free, have a prior of their own, or too few of them are free.
+    """
+    layout = fitted.lineariser.layout
+    if not fitted.lineariser.random_links:
+        return fitted
+    solution = settle_variances(fitted.solution.with_priors(with_common_sizes(layout)), sizes_first=True)
+    solution = made_exact(solution)
+    return replace(fitted, solution=solution, noise=solution.noise, weights=solution.weights)

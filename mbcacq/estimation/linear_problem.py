@@ -15,13 +15,11 @@ import numpy as np
 from mbcacq.estimation import parameters, terms
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.normal_equations import Normal, PoseSystem
+from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior, known_placement
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import PoseColumns
-from mbcacq.estimation.pose_information import PoseInformation, WeightedRows
-from mbcacq.estimation.prior import Prior, known_placement
+from mbcacq.estimation.pose_information import PoseInformation, WeightedRows, Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term

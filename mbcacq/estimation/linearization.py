@@ -9,14 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
-from mbcacq.estimation.noise import first_noise, noise_prior, stated_weights
+from mbcacq.estimation.normal_equations import Prior, prior_rows
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.outliers import Weights
-from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
-from mbcacq.estimation.prior import Prior, prior_rows
-from mbcacq.estimation.variance_components import NoisePrior
+from mbcacq.estimation.pose_columns import WIDE, OwnColumns, PoseColumns, WideColumns
+from mbcacq.estimation.pose_information import Weights
+from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior, stated_weights
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain

@@ -16,8 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.own_columns import WeightedOwnColumns
-from mbcacq.estimation.pose_columns import PoseColumns
+from mbcacq.estimation.pose_columns import PoseColumns, WeightedOwnColumns
 from mbcacq.estimation.whitening import RowsBlock
 
 

@@ -4,13 +4,16 @@ poses eliminated; and by turns with it the rejection of outliers, the noise, and
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import cache
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from mbcacq.errors import ContradictionError
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.outliers import Weights, reject_outliers
 from mbcacq.estimation.parameters import usual_sizes
+from mbcacq.estimation.pose_information import Weights, reject_outliers
 from mbcacq.estimation.random_effect_sizes import sizes_of_groups
 from mbcacq.estimation.solution import LINEAR_ROTATION, Solution, largest_rotation
 from mbcacq.estimation.variance_components import between, log_restricted_posterior, reml_step
@@ -179,3 +182,14 @@ def made_exact(solution: Solution) -> Solution:
         exact = robust_solve(exact, COARSE)
         exact = settle_noise(exact)
     return solve(exact, tolerance=FINE)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries of linear algebra that are loaded; looking for them takes a millisecond, which a calibration has once."""
+    return ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """A context in which numpy and SciPy have one thread."""
+    return _libraries().limit(limits=1)

@@ -1,4 +1,6 @@
-"""Whitened columns and their products, over the poses that are asked for; wide groups of columns are never written out.
+"""Whitened columns, their products over the poses that are asked for, and the posterior of their coefficients by these products.
+
+Wide groups of columns are never written out.
 
 A group for an unmodelled effect of a joint has more than a hundred functions of the joint's angle, and all of them move a pose in the same
 direction. With u the whitened displacement of a pose by a unit of it and F (P, k) the functions, its columns are u F, and their products
@@ -10,10 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cho_solve, cholesky
 
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.normal_equations import inverse_of_lower
 from mbcacq.estimation.terms import PER_POSE, Part
 from mbcacq.estimation.whitening import CentreWhitening
 
@@ -128,3 +133,49 @@ def _places(given: int, groups: Sequence[Sequence[Part]]) -> np.ndarray:
 def is_wide(parts: Sequence[Part]) -> bool:
     """Whether the columns of a group stay what they are made of."""
     return len(parts) == 1 and parts[0].place in PER_POSE and parts[0].basis.shape[1] >= WIDE
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """sigma: prior of the coefficients (z,). seen: products of the centres that are given, without the prior."""
+
+    sigma: np.ndarray
+    seen: ColumnProducts
+
+    @cached_property
+    def root(self) -> np.ndarray:
+        """(z, z) lower root of the normal matrix in units of sigma, prior included."""
+        return root_of(self.sigma, self.seen.information)
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        return self.sigma * self.solved(self.sigma * self.seen.right)
+
+    def solved(self, right: np.ndarray) -> np.ndarray:
+        """The inverse of the normal matrix times right (z,) or (z, k), in units of sigma."""
+        return cho_solve((self.root, True), right, check_finite=False)
+
+    def covariance_of(self, index: np.ndarray) -> np.ndarray:
+        """(k, k) of the coefficients at index (k,)."""
+        unit = np.zeros((len(self.sigma), len(index)))
+        unit[index, np.arange(len(index))] = self.sigma[index]
+        return self.sigma[index, None] * self.solved(unit)[index]
+
+    @property
+    def determined(self) -> float:
+        """Number of coefficients that the centres determine: what is not known of the others is their prior."""
+        half = inverse_of_lower(self.root)
+        return float(len(self.sigma) - np.sum(half * half))
+
+    def predicted(self, other: ColumnProducts) -> float:
+        """chi2 of other centres about their prediction, under the covariance of noise and prediction together."""
+        both = root_of(self.sigma, self.seen.information + other.information)
+        right = self.sigma * (self.seen.right + other.right)
+        return float(other.square - right @ cho_solve((both, True), right, check_finite=False) + self.seen.right @ self.solution)
+
+
+def root_of(sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """(z, z) lower root of a normal matrix with a prior, in units of its sigma (z,)."""
+    normal = sigma[:, None] * information * sigma
+    normal[np.diag_indices_from(normal)] += 1.0
+    return cholesky(normal, lower=True, overwrite_a=True, check_finite=False)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.exports import joint_frames, kuka, mjcf, ros, tables, urdf
 from mbcacq.exports.format import ExportedResult, ExportFormat, Targets
 from mbcacq.exports.marks import mjcf_comments, with_comments
 from mbcacq.exports.result_json import result_schema
+from mbcacq.model.json_text import sealed_text
 
 TARGET_TOOL = "mbcacq target"
 

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
-from mbcacq.calibration.caveats import with_warnings
-from mbcacq.calibration.result_io import effects_of
+from mbcacq.calibration.result_io import effects_of, with_warnings
 from mbcacq.exports.mjcf import expressed_effects
 from mbcacq.exports.mount import remark
 

@@ -7,9 +7,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from mbcacq.calibration.joint_file import split_number
 from mbcacq.calibration.result_file import FORMAT, ResultFile
-from mbcacq.calibration.result_io import read_result
+from mbcacq.calibration.result_io import read_result, split_number
 from mbcacq.recording.run_folder.latest import refuse_plan
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.errors import ConfigError
 from mbcacq.fleet.evaluation import FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
 from mbcacq.fleet.row import FAILED, FleetRow, arrow_schema
-from mbcacq.model.json_text import damage
+from mbcacq.model.json_text import damage, sealed_text, unsealed
 
 TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
 

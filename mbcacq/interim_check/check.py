@@ -12,7 +12,6 @@ import numpy as np
 
 from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError, command_line
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
@@ -22,7 +21,7 @@ from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, plann
 from mbcacq.interim_check.shown_figures import shown
 from mbcacq.interim_check.verdict import CheckVerdict, verdict_of
 from mbcacq.interim_check.words import sentence_of
-from mbcacq.model.json_text import fields_as_json
+from mbcacq.model.json_text import digest, fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.quantities import capitalised

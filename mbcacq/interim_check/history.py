@@ -10,11 +10,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat
 
-from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.interim_check.options import UsualChanges
-from mbcacq.model.json_text import InJson, Matrix, Transform, damaged, fields_as_json, from_document, read_json
+from mbcacq.model.json_text import InJson, Matrix, Transform, damaged, fields_as_json, from_document, read_json, sealed_text, unsealed
 
 FORMAT = "mbcacq-check/1"
 MICROMETRE = 5  # decimals of a residual in mm

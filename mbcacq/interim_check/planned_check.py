@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import state_from_dict
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.design.simulated_observations import planned_observations
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model

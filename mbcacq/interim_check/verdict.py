@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.special import logsumexp
 
 from mbcacq.errors import DeviceFault
-from mbcacq.estimation.one_thread import one_thread
+from mbcacq.estimation.solver import one_thread
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS
@@ -130,7 +130,7 @@ def verdict_by(evidence: Evidence, check: PlannedCheck) -> CheckVerdict:
     else:
         log_e, level, null = 0.0, process.usual, process.usual
     factors, estimates = _since_calibration(check, evidence, process.levels[null])
-    log_first = float(logsumexp(factors))
+    log_first = float(np.asarray(logsumexp(factors)))
     threshold = float(np.log(2 / OPTIONS.false_alarms))
     changed = max(log_e, log_first) >= threshold
     suspects: tuple[Suspect, ...] = ()
@@ -178,7 +178,7 @@ def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level) ->
         estimates.append([e for _, e in found])
     best = int(np.argmax(null))
     relative = np.array(null) - null[best] - np.log(len(null))
-    return logsumexp(np.array(log) + relative[:, None], axis=0), estimates[best]
+    return np.asarray(logsumexp(np.array(log) + relative[:, None], axis=0)), estimates[best]
 
 
 def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray) -> tuple[float, Estimate]:
@@ -221,11 +221,11 @@ def _suspects_since(evidence: Evidence, level: int, T: int) -> tuple[tuple[Suspe
     sums = np.cumsum(evidence.days @ lv.scores, axis=0)
     prior = process.log_onsets(np.arange(1, T))[:, None, None] + process.log_weight
     joint = process.log_factors(level, sums, T) + prior
-    by_onset = logsumexp(joint, axis=(1, 2))
+    by_onset = np.asarray(logsumexp(joint, axis=(1, 2)))
     share = np.cumsum(np.exp(by_onset - logsumexp(by_onset)))
     onset = int(np.argmax(by_onset))
     low, high = int(np.searchsorted(share, 0.05)), int(np.searchsorted(share, 0.95 - 1e-12))
-    by_change = logsumexp(joint, axis=(0, 1))
+    by_change = np.asarray(logsumexp(joint, axis=(0, 1)))
     estimates = []
     for k, change in enumerate(evidence.changes):
         n, size = np.unravel_index(int(np.argmax(joint[:, :, k])), joint.shape[:2])

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.caveats import export_command
 from mbcacq.calibration.length_budget import temperature_sentence
+from mbcacq.calibration.result_io import export_command
 from mbcacq.calibration.verification import verdict_of_places
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_term import UNKNOWN

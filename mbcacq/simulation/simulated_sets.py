@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import calibrated_cell, maximum_likelihood, several
+from mbcacq.calibration import calibrate as calibration
+from mbcacq.calibration import calibrated_cell, several
+from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
-from mbcacq.calibration.joint_file import joint_content as content_of_all
-from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
+from mbcacq.calibration.result_io import joint_content as content_of_all
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.verification import Verification
@@ -93,7 +94,7 @@ def calibrate(
     >>> cell.to_base(q, xyz)  # (P, 3) mm: scanner points in the base frame
     """
     if effects is None:
-        return maximum_likelihood.calibrate(as_observations(data), options)
+        return calibration.calibrate(as_observations(data), options)
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
@@ -283,8 +284,8 @@ def calibration_content(
 
     Raises CalibrationError, ConfigError.
     """
-    from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.calibration.cross_validation import held_out as cross_validate
+    from mbcacq.calibration.workspace_accuracy import accuracy_map
     from mbcacq.recording.run_folder.gaps import find_gaps
 
     if effects is not None and held_out is not None:
@@ -298,7 +299,7 @@ def calibration_content(
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
     if with_map:
-        content["accuracy_map"] = accuracy_map(cell).to_dict()
+        content["accuracy_map"] = accuracy_map(cell, cell.fit.observations).to_dict()
     if held_out is not None:
         split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
         content["held_out"] = split.to_dict()

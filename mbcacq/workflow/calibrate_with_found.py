@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.verification import Verification
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_files
+from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.calibrate import calibrate
@@ -58,7 +58,10 @@ class CalibratedWithFound:
     def result(self) -> dict[str, Any]:
         """The content of result.json of the better described cell."""
         calibration, verified = self.with_effects or self.geometry, self.by_effects or self.by_geometry
-        return calibration.to_dict() | {"verification": verified.to_dict(), "accuracy_map": accuracy_map(calibration).to_dict()}
+        return calibration.to_dict() | {
+            "verification": verified.to_dict(),
+            "accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict(),
+        }
 
     def write(self, folder: Path) -> list[Path]:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""

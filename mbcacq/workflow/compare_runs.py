@@ -14,9 +14,8 @@ from pydantic import Field
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_file import result_of
-from mbcacq.calibration.result_io import effects_of
-from mbcacq.calibration.same_arm import refuse_other_arm
-from mbcacq.calibration.without_prior import without_prior
+from mbcacq.calibration.result_io import effects_of, without_prior
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel

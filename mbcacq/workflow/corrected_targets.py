@@ -12,11 +12,10 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_targets import joint_targets
 from mbcacq.calibration.place_errors import ArmImprovement, arm_improvement
-from mbcacq.calibration.same_arm import refuse_other_arm
-from mbcacq.calibration.sealed_json import digest
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.model.json_text import Matrix, Vector, as_list, damage, from_fields
+from mbcacq.model.json_text import Matrix, Vector, as_list, damage, digest, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.workflow.correct import refuse_uncalibrated

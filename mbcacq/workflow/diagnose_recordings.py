@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.given_effects import PosesGiven
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
@@ -122,7 +122,7 @@ def checked(
 
     others: with their names.
     """
-    from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
+    from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
     from mbcacq.estimation.options import CalibrationOptions
 
     options = CalibrationOptions(refuse=False)
@@ -226,7 +226,7 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
     """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
     cell with them, they stay as the diagnosis had them, and a sentence says why.
     """
-    from mbcacq.calibration.maximum_likelihood import effects_fitted_with_the_cell
+    from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
     from mbcacq.errors import CalibrationError
     from mbcacq.estimation.options import CalibrationOptions
 

@@ -119,29 +119,34 @@ class DiagnosisResult:
         """The diagnosis in plain sentences, as the command line prints it."""
         return self.in_words()
 
-    def in_words(self, calibrated: bool = False) -> str:
+    def in_words(self, calibrated: bool = False, whole: bool = False) -> str:
         """The diagnosis in plain sentences, as ``text``.
 
         Parameters
         ----------
         calibrated
             The cell was calibrated with what was found; the next step follows that.
+        whole
+            With all figures, limits and notes; otherwise on one screen.
 
         Returns
         -------
         str
             Several lines.
         """
-        from mbcacq.diagnosis.motion.text import motion_details, motion_text
+        from mbcacq.diagnosis.motion.text import brief_details, motion_details, motion_in_brief, motion_text
+        from mbcacq.diagnosis.output.brief import brief
         from mbcacq.diagnosis.output.text import first_sentence, words
 
         if self.motion is not None and self.simulation is not None and self.simulation.verdict is not None:
-            return "\n".join([first_sentence(self.motion), self.simulation.text, "", HOW_LOCATED, "", motion_details(self.motion)])
+            details = motion_details(self.motion) if whole else "\n".join(brief_details(self.motion))
+            return "\n".join([first_sentence(self.motion), self.simulation.text, "", HOW_LOCATED, "", details])
+        of_motion = "" if self.motion is None else (motion_text if whole else motion_in_brief)(self.motion)
         written = [] if self.simulation is None else [self.simulation.text]
         if self.poses is None:
-            return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
-        text = words(self.poses, calibrated)
-        text = text if self.both is None else self.both.in_words(text)
+            return "\n".join([of_motion, *written])
+        text = (words if whole else brief)(self.poses, calibrated)
+        text = text if self.both is None else self.both.in_words(text, of_motion)
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:

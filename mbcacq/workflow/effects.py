@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.joint_file import result_of_one, split_number
+from mbcacq.calibration.result_io import result_of_one, split_number
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect_model import EffectModel, combined

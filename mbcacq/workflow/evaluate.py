@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.verification import Verification
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run
@@ -117,7 +117,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     verification = calibration.verify(observations, limit_mm=limit_mm)
     content = calibration.to_dict() | {
         "verification": verification.to_dict(),
-        "accuracy_map": accuracy_map(calibration).to_dict(),
+        "accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict(),
         "gaps": find_gaps(run),
     }
     if not options.kinematics:

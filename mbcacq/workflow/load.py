@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.joint_file import split_number
-from mbcacq.calibration.result_io import read_result
-from mbcacq.calibration.sealed_json import SEAL
+from mbcacq.calibration.result_io import read_result, split_number
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording import load_observations

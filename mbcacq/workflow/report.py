@@ -7,10 +7,10 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration.accuracy_map import accuracy_map
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -111,7 +111,7 @@ def _result(data: CalibratedCell | Path | str, observations: Observations, progr
         calibration = calibrate(observations, options_for(observations, CalibrationOptions()))
     if kept is None:
         kept = calibration.to_dict() | {"verification": calibration.verify(observations).to_dict()}
-    return kept | {"accuracy_map": accuracy_map(calibration).to_dict()}
+    return kept | {"accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict()}
 
 
 def _about(run: Path) -> dict[str, Any]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cells import kr10, measure, scanner_cell
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.change import found_change, kinds_of_change
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.step_test import StepTest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import kr10, measure, random_errors, scanner_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.several import calibrate_together
 from mbcacq.cli.tables import remarks
 from mbcacq.errors import CalibrationError

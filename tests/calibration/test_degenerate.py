@@ -9,8 +9,8 @@ import pytest
 from cells import measure, scanner_cell
 from click.testing import CliRunner
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.compare_methods import compare
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions

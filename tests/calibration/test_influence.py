@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration.influence import deletions
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.recording_faults import deletions
 from mbcacq.cli.tables import remarks
 from mbcacq.estimation.adjustment import adjust
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solver import solve
 
 

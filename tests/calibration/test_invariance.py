@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import MBC, scanner_cell, tracker_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.estimation.noise import first_noise, noise_prior
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.estimation.variance_components import first_noise, noise_prior
 from mbcacq.model.joint_resolution import joint_step
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.observation_set import write_observation_set

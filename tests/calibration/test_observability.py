@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration.accuracy_map import accuracy_map
-from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.observability import indices
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.workspace_accuracy import accuracy_map, indices
 
 
 def test_indices_of_a_diagonal_information():
@@ -28,19 +27,9 @@ def test_more_orientation_and_more_stations_show_in_the_indices():
 
 def test_map_of_expected_accuracy():
     found = calibrate(scanner_cell(np.random.default_rng(2), stations=8, per_station=8).observations)
-    chart = accuracy_map(found, cell_mm=400)
+    chart = accuracy_map(found, found.fit.observations, cell_mm=400)
     assert chart.postures.sum() == 4000
     assert np.all(chart.sigma_mm > 0)
     near = np.linalg.norm(chart.centres_mm - found.state.T_base_station[:, :3, 3].mean(axis=0), axis=1)
     # Accuracy is best where the stations stood.
     assert np.median(chart.sigma_mm[near < 600]) < np.median(chart.sigma_mm[near > 1500])
-
-
-def test_uncertainty_scales_with_the_covariance():
-    from dataclasses import replace
-
-    found = calibrate(scanner_cell(np.random.default_rng(3), stations=8, per_station=8).observations)
-    q, xyz = found.fit.observations.q[:5], np.zeros((5, 3))
-    once = found.point_covariance(q, xyz)
-    twice = replace(found, covariance=4 * found.covariance).point_covariance(q, xyz)
-    np.testing.assert_allclose(twice, 4 * once)

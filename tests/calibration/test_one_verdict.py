@@ -9,7 +9,7 @@ import pytest
 from cells import scanner_cell
 from click.testing import CliRunner
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.cli.app import app
 from mbcacq.design.planned_scope import planned_scope, scope_sentence

@@ -7,8 +7,8 @@ import pytest
 from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
 from hand_eye_data import local_error, recording
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
 from mbcacq.calibration.staged.error_propagation import scanner_noise
 from mbcacq.errors import CalibrationError

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from cells import kr10, random_errors, scanner_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.estimation.adjustment import adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.variance_components import pack
 from mbcacq.geometry import se3
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.cross_validation import held_out
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import measure, tracker_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cells import measure, scanner_cell, tracker_cell
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.cli import tables
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.scan_scale import scan_scale

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import measure, scanner_cell
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.cli import tables
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Station

@@ -10,15 +10,14 @@ from cells import scanner_cell
 from erring_arms import LAWS, erring_arm, placed_wrong
 
 from mbcacq.calibration import with_discrepancy
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.effects import discrepancy
 from mbcacq.estimation import forward_model
-from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.adjustment import adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.random_links import with_random_links
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
 

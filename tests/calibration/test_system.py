@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
-from mbcacq.estimation import noise as noise_model
 from mbcacq.estimation import parameters, variance_components, whitening
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks
+from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import NOISE_GAIN, most_probable_noise, solve
 from mbcacq.estimation.terms import Part, term
@@ -259,7 +258,7 @@ def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(k
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(7), kinematics=False)
-    prior = noise_model.noise_prior(lineariser.obs.cell)
+    prior = variance_components.noise_prior(lineariser.obs.cell)
     theta = variance_components.pack(at.noise)
 
     def fitted(theta):
@@ -278,7 +277,7 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
     # Joints a hundred times as noisy as the data sheet says: far from where the search begins.
     obs = scanner_cell(np.random.default_rng(8), stations=6, joint_rad=1e-3).observations
     found = adjust_recording(obs, CalibrationOptions(refuse=False))
-    prior = noise_model.noise_prior(obs.cell)
+    prior = variance_components.noise_prior(obs.cell)
     theta = variance_components.pack(found.noise)
 
     def log_posterior(theta):
@@ -309,7 +308,7 @@ def test_noise_that_was_taken_far_too_large_comes_down_without_swinging():
     """Components that share one excess overshoot together; at a given estimate their steps swing by more each time unless they are halved."""
     cell = simulated("tracker", np.random.default_rng(9), more=4)
     found = adjust_recording(cell.observations, CalibrationOptions())
-    prior = noise_model.noise_prior(cell.observations.cell)
+    prior = variance_components.noise_prior(cell.observations.cell)
     large = Noise(30 * found.noise.point, 30 * found.noise.joint, 30 * found.noise.turn)
 
     def refit(at, noise):

@@ -5,7 +5,7 @@ from cells import scanner_cell
 
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.unknown_noise import covariance, under_the_noise
+from mbcacq.estimation.solution import covariance_of, covariance_under_its_noise
 from mbcacq.estimation.variance_components import log_restricted_posterior, pack, reml_score_and_information, unpack
 
 ALONE = CalibrationOptions(kinematics=False, refuse=False)
@@ -30,7 +30,7 @@ def averaged_over_the_noise(at, draws):
         there = at.reweighted(noise, at.weights)
         off = (one - middle)[:-1]
         log_weight[k] = log_restricted_posterior(there.system.after_fit(), noise, prior) + 0.5 * off @ drawn @ off
-        covariances.append(under_the_noise(there))
+        covariances.append(covariance_under_its_noise(there))
         steps.append(there.normal.gauss_newton_step(there.lineariser.layout.scale))
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
@@ -42,7 +42,7 @@ def averaged_over_the_noise(at, draws):
 def test_ten_poses_state_the_average_over_what_their_noise_may_be():
     at = solved(10)
     mounted = [k for k, name in enumerate(at.lineariser.layout.names) if name.startswith("hand_eye.")]
-    each = covariance(at), averaged_over_the_noise(at, 1500), under_the_noise(at)
+    each = covariance_of(at), averaged_over_the_noise(at, 1500), covariance_under_its_noise(at)
     stated, average, plain = (np.sqrt(np.diag(C))[mounted] for C in each)
     assert np.max(np.abs(plain / average - 1)) > 0.08
     np.testing.assert_allclose(stated, average, rtol=0.04)
@@ -50,6 +50,6 @@ def test_ten_poses_state_the_average_over_what_their_noise_may_be():
 
 def test_many_poses_state_the_same_as_under_their_noise():
     at = solved(20, stations=5)
-    np.testing.assert_array_equal(covariance(at), under_the_noise(at))
+    np.testing.assert_array_equal(covariance_of(at), covariance_under_its_noise(at))
     few = solved(12, stations=5)
-    np.testing.assert_allclose(np.diag(covariance(few)), np.diag(under_the_noise(few)), rtol=0.1)
+    np.testing.assert_allclose(np.diag(covariance_of(few)), np.diag(covariance_under_its_noise(few)), rtol=0.1)

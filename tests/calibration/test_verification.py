@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.verification import Limits, judge, verdict
 from mbcacq.geometry import se3
 

@@ -9,7 +9,7 @@ from cells import iiwa, measure, robot, scanner_cell
 from click.testing import CliRunner
 
 import mbcacq
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError

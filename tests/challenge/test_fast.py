@@ -87,7 +87,7 @@ def test_the_recording_lacks_what_was_not_recorded(challenger):
 
 
 def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_path):
-    from mbcacq.calibration.maximum_likelihood import calibrate
+    from mbcacq.calibration.calibrate import calibrate
     from mbcacq.cli.simulate import command
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.recording import load_observations
@@ -116,7 +116,7 @@ def test_noise_scatters_the_twin_by_what_the_plan_states(quick):
 def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
     loaded, poses = quick
     observations, truth = simulated_cells.observe(loaded, poses, Scenario(0, "none", 21, (), 1, 0.0), [])
-    from mbcacq.calibration.maximum_likelihood import calibrate
+    from mbcacq.calibration.calibrate import calibrate
     from mbcacq.estimation.options import CalibrationOptions
 
     cell = calibrate(observations, CalibrationOptions(kinematics=False))

@@ -7,7 +7,7 @@ from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
 from mbcacq.diagnosis.output.text import is_to_be_calibrated_with, words
 from mbcacq.diagnosis.result import Diagnosis, EstimatedNoise, ExclusionLimit, FitFigures, FitSummary, GeometryAlone, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 
 NOISE = EstimatedNoise(scanner_mm=(0.003, 0.003, 0.005), joint_rad=(5e-6,) * 6)
 GEOMETRY = GeometryAlone(

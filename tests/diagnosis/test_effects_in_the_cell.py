@@ -11,8 +11,8 @@ import simulated
 
 import mbcacq
 from mbcacq.calibration import with_effects
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.output.kept_model import partly_covered, term_of
 from mbcacq.effects import catalogue, unmodelled

@@ -10,7 +10,7 @@ import simulated
 from click.testing import CliRunner
 from test_result import FOUND
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.several import calibrate_together
 from mbcacq.cli import calibrate as calibrate_command
 from mbcacq.cli import diagnose as diagnose_command

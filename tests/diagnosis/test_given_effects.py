@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.options import CalibrationOptions

@@ -10,8 +10,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import SharedProducts, with_estimated_prior
-from mbcacq.estimation.posterior import Posterior
-from mbcacq.estimation.whitened_columns import ColumnProducts
+from mbcacq.estimation.whitened_columns import ColumnProducts, Posterior
 
 
 def test_chi2_of_a_prediction_is_the_mahalanobis_distance():

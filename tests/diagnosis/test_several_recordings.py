@@ -11,8 +11,8 @@ from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.between_recordings import with_common_values
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.several_recordings import BetweenRecordings
 
 OPTIONS = CalibrationOptions(refuse=False)
 

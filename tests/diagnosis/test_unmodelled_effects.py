@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
+from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior, estimated

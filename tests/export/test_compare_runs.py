@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from mbcacq.calibration.without_prior import without_prior
+from mbcacq.calibration.result_io import without_prior
 from mbcacq.cli.compare import command
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3

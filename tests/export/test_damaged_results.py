@@ -10,9 +10,9 @@ import pytest
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import read_result
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.exports.result_json import load_result
+from mbcacq.model.json_text import sealed_text
 from mbcacq.workflow.load import unsealed_note
 
 READERS = [CalibratedCell.from_json, load_result, read_result]

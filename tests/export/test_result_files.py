@@ -10,13 +10,12 @@ import pytest
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_file import RobotInResult
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.exports import tables
 from mbcacq.exports.result_json import load_result, result_schema
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
-from mbcacq.model.json_text import fields_as_json, from_fields
+from mbcacq.model.json_text import fields_as_json, from_fields, sealed_text
 
 
 def read(text):

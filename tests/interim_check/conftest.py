@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 import mbcacq
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
+from mbcacq.model.json_text import sealed_text
 from mbcacq.plan import expand, load
 
 PLAN = Path(__file__).parents[2] / "plans" / "kuka.yaml"

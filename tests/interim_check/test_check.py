@@ -12,7 +12,6 @@ from click.testing import CliRunner
 from shown_output import not_printed
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.sealed_json import digest
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.app import app
@@ -24,6 +23,7 @@ from mbcacq.interim_check.measured_day import refuse_incomplete
 from mbcacq.interim_check.options import CheckOptions, UsualChanges
 from mbcacq.interim_check.planned_check import _criterion, _pose_grams, choose_poses, planned_check
 from mbcacq.interim_check.verdict import verdict_of
+from mbcacq.model.json_text import digest
 from mbcacq.plan import expand, load
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import mbcacq.cli
-from mbcacq.calibration.caveats import export_command
+from mbcacq.calibration.result_io import export_command
 from mbcacq.cli.app import COMMANDS, app
 from mbcacq.cli.export import next_step
 from mbcacq.cli.run_path import judge_first

@@ -138,7 +138,7 @@ def test_a_tool_of_12_kg_in_the_poses_contradicts_one_of_15_kg_in_the_motion():
     tool = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5), com_mm=((0.0, 0.0, 90.0), (5.0, 5.0, 5.0)))
     found = in_motion("payload", ["mount"], mass_kg=(15.0, 0.2), com_mm=([3.0, -4.0, 95.0], [5.0, 5.0, 5.0]))
     assert [(a.parameter, a.agrees) for a in both(of_poses(tool), found).agreement] == [("mass_kg", False), ("com_mm", True)]
-    text = both(of_poses(tool), found).in_words("")
+    text = both(of_poses(tool), found).in_words("", "")
     assert text.startswith(
         "Poses and motion contradict each other on payload at mount, mass: 12.0 ± 1.0 kg by the poses and 15.00 ± 0.40 kg"
     )

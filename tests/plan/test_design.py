@@ -9,8 +9,8 @@ import yaml
 from click.testing import CliRunner
 from plan_folder import PLANS
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.cli.plan import command
 from mbcacq.design.candidate_views import candidates
 from mbcacq.design.design_problem import DesignProblem

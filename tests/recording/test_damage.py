@@ -14,11 +14,11 @@ import pytest
 import synthetic
 from click.testing import CliRunner
 
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.cli.recover import command as recover_command
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.files import atomic_write
+from mbcacq.model.json_text import sealed_text
 from mbcacq.recording import load_observations
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_made, note_stretch, read_stretches

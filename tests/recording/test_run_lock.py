@@ -72,8 +72,26 @@ def test_the_lock_is_free_after_an_error(tmp_path):
     assert not (tmp_path / ".run.lock.json").exists()
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="the superuser writes everywhere")
-def test_a_folder_that_cannot_be_written_to_needs_no_lock(tmp_path):
+NOBODY = 65534
+
+
+@pytest.fixture
+def ordinary_user():
+    """This process without the rights of the superuser, who writes everywhere."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(NOBODY)
+    yield
+    os.seteuid(user)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs users as POSIX has them")
+def test_a_folder_that_cannot_be_written_to_needs_no_lock(tmp_path, request):
     tmp_path.chmod(0o500)
-    with write_lock(tmp_path, "report"):
+    request.getfixturevalue("ordinary_user")
+    with pytest.raises(PermissionError):
+        (tmp_path / "probe").touch()
+    with write_lock(tmp_path, "report"):  # reading goes on, without a lock
+        pass
+    with pytest.raises(RecordingError, match="cannot be locked: .*; choose a folder on another disk"), write_lock("/dev/null", "report"):
         pass

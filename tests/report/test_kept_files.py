@@ -37,7 +37,7 @@ def test_damaged_pictures_of_a_diagnosis_are_not_left_out_without_a_word(tmp_pat
 
 
 def test_a_changed_number_in_the_result_with_effects_is_refused(tmp_path):
-    from mbcacq.calibration.sealed_json import sealed_text
+    from mbcacq.model.json_text import sealed_text
 
     (tmp_path / "with-effects").mkdir()
     text = sealed_text({"format": "mbcacq-result/1", "rms_mm": 0.125})

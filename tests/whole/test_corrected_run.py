@@ -10,12 +10,11 @@ from mbcacq_fakes.world.arm import TrueArm, paper_errors
 from typed_command import ROOT, mbcacq, one_sentence
 
 import mbcacq as library
-from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
-from mbcacq.model.json_text import fields_as_json
+from mbcacq.model.json_text import fields_as_json, sealed_text
 from mbcacq.plan import expand, load
 from mbcacq.recording import load_observations
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan

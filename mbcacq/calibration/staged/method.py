@@ -19,9 +19,8 @@ from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterBlock, ParameterLayout
-from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solution import system
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations

@@ -36,7 +36,6 @@ from mbcacq.diagnosis.motion.joint_sets import (
 from mbcacq.diagnosis.motion.load_error import ARM
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
-from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue
@@ -236,11 +235,11 @@ class PosesAndMotion:
             found = replace(found, sets=beside.sets or found.sets)
         return found
 
-    def in_words(self, text: str) -> str:
-        """text: the diagnosis of the poses in words."""
+    def in_words(self, of_poses: str, of_motion: str) -> str:
+        """of_poses, of_motion: the diagnosis of each in words."""
         lines = [*self.contradictions, f"Poses and motion together: {VERDICT_OF_BOTH[self.verdict]}", ""]
-        lines += ["Poses, at standstill", "====================", text, ""]
-        lines += ["Motion, between the poses", "=========================", motion_text(self.motion)]
+        lines += ["Poses, at standstill", "====================", of_poses, ""]
+        lines += ["Motion, between the poses", "=========================", of_motion]
         for heading, said in self.in_both:
             lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
         return "\n".join(lines)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis
+from mbcacq.diagnosis.output.brief import MOST_NOTES, WHOLE, effects_in_brief, mismatch_in_brief
 from mbcacq.diagnosis.output.evidence_summary import e_value_in_words
 from mbcacq.diagnosis.output.text import effect_lines, first_sentence, mismatch_lines, open_lines
 from mbcacq.effects.in_words import CHANNELS
@@ -22,10 +25,7 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     lines += mismatch_lines(diagnosis.mismatch[:MOST_ROWS])
     lines += effect_lines(diagnosis.effects)
     lines += open_lines(diagnosis.not_separable, diagnosis.advice)
-    for e in diagnosis.evidence:
-        odds, found = e_value_in_words(e.evidence)
-        lines.append(f"{CHANNELS[e.channel]}: effects against none {odds}, {found}.")
-    lines += ["", f"On held-out data (by {diagnosis.fit.held_out.split}):"]
+    lines += [*evidence_lines(diagnosis), "", f"On held-out data (by {diagnosis.fit.held_out.split}):"]
     for c in diagnosis.fit.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
     for check in diagnosis.checks:
@@ -34,6 +34,46 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
             rms = f"{with_unit(significant(one.error.before_rms), symbol(one.unit))} before, {significant(one.error.after_rms)} after"
             lines.append(f"  {one.at} {CHANNELS[one.channel]}: {rms}")
     return "\n".join(lines)
+
+
+def motion_in_brief(diagnosis: MotionDiagnosis) -> str:
+    """Verdict, effects a line each, and residuals a line for each channel."""
+    lines = [first_sentence(diagnosis), "", *brief_details(diagnosis)]
+    return "\n".join(lines)
+
+
+def brief_details(diagnosis: MotionDiagnosis) -> list[str]:
+    """``motion_details`` on one screen."""
+    lines = [*diagnosis.remarks, ""] if diagnosis.suspicions else []
+    lines += effects_in_brief(diagnosis.effects)
+    lines += mismatch_in_brief(diagnosis.mismatch)
+    lines += open_lines(diagnosis.not_separable, diagnosis.advice)[:MOST_NOTES]
+    lines += [*evidence_lines(diagnosis), f"On held-out data (by {diagnosis.fit.held_out.split}), before and after:"]
+    lines += by_channel((c.channel, c.unit, f"{c.at} {_short(c)}") for c in diagnosis.fit.channels)
+    for check in diagnosis.checks:
+        lines.append(f"Tried on {check.recording or 'the other recording'}, from which nothing was learnt, before and after:")
+        each = ((c.channel, c.unit, f"{c.at} {significant(c.error.before_rms)}, {significant(c.error.after_rms)}") for c in check.channels)
+        lines += by_channel(each)
+    return [*lines, WHOLE]
+
+
+def by_channel(figures: Iterable[tuple[str, str, str]]) -> list[str]:
+    """What is said of each joint, a line for each channel and unit."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for channel, unit, words in figures:
+        said.setdefault((channel, unit), []).append(words)
+    return [f"  {CHANNELS[channel]} in {symbol(unit)}: {'; '.join(each)}" for (channel, unit), each in said.items()]
+
+
+def evidence_lines(diagnosis: MotionDiagnosis) -> list[str]:
+    """Whether there is an effect, a line for each channel."""
+    said = ((CHANNELS[e.channel], *e_value_in_words(e.evidence)) for e in diagnosis.evidence)
+    return [f"{channel}: effects against none {odds}, {found}." for channel, odds, found in said]
+
+
+def _short(c: ChannelFit) -> str:
+    after = "refused" if c.refused_rms is not None else significant(c.held_out.after_rms)
+    return f"{significant(c.held_out.before_rms)}, {after}"
 
 
 def _held_out(c: ChannelFit) -> str:

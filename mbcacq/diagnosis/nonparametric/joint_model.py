@@ -23,11 +23,10 @@ from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.posterior import Posterior, root_of
 from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
 from mbcacq.estimation.terms import Part, at_poses
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
-from mbcacq.estimation.whitened_columns import ColumnProducts, WhitenedColumns
+from mbcacq.estimation.whitened_columns import ColumnProducts, Posterior, WhitenedColumns, root_of
 from mbcacq.estimation.whitening import CentreWhitening
 
 

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.problem import EACH_RECORDING
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate, ParameterEstimate
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 
 
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:

@@ -24,8 +24,8 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.effect import FADING, Candidate
 from mbcacq.effects.functions import periods_covered
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
 

@@ -19,7 +19,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
-from mbcacq.estimation.noise import first_noise
+from mbcacq.estimation.variance_components import first_noise
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried

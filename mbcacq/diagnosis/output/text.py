@@ -9,12 +9,13 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, Alternative, EffectFound, MismatchEntry, ResponseShape
 from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.diagnosis.output.figures import beyond_uncertainty
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
-from mbcacq.estimation.meta_analysis import BetweenRecordings
+from mbcacq.estimation.several_recordings import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
@@ -306,7 +307,10 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
     # A share that its uncertainty covers is no figure either.
     share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and effect.trend != REMOVES_NOTHING else ""
     out = [f"{at} ({p_value(effect.p_value)}{share})"]
-    values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]
+    parameters, below = beyond_uncertainty(effect.parameters)
+    values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in parameters.items()]
+    if below and not effect.trend:
+        values.append(f"below the expanded uncertainty: {', '.join(below)}")
     shape = [] if effect.shape is None else [size_of_shape(effect, effect.shape)]
     out += [f"  {line}" for line in (*values, *shape, *effect.notes)]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]

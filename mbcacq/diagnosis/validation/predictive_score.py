@@ -21,9 +21,8 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import over_time
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.posterior import Posterior
 from mbcacq.estimation.random_effect_sizes import joined
-from mbcacq.estimation.whitened_columns import ColumnProducts
+from mbcacq.estimation.whitened_columns import ColumnProducts, Posterior
 
 
 def with_estimated_prior(posterior: Posterior, typical: Sequence[np.ndarray], slices: Sequence[slice]) -> Posterior:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.description.plain_fit import residual_mm
+from mbcacq.calibration.description import residual_mm
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.model.json_text import unsealed
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import read_lines
 from mbcacq.recording.rrd.checksums import FILE, Stretch, digest_of_file, is_version, read_stretches, read_versions

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
+from mbcacq.calibration.result_io import caveats
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError

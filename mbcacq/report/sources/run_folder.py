@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.result_file import FORMAT as RESULT_FORMAT
-from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.diagnosis.findings import FORMAT as DIAGNOSIS_FORMAT
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.model.json_text import read_json
+from mbcacq.model.json_text import read_json, unsealed
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_log
 

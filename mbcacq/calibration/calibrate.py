@@ -8,24 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.causes import misdescribed
 from mbcacq.calibration.change import ChangeFound, found_change
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
-from mbcacq.calibration.estimates import with_estimates
-from mbcacq.calibration.influence import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
-from mbcacq.calibration.known_length import with_length_uncertainty
-from mbcacq.calibration.nominal_arm import with_nominal_arm
+from mbcacq.calibration.description import misdescribed
+from mbcacq.calibration.published_cell import with_estimates, with_length_uncertainty, with_nominal_arm
+from mbcacq.calibration.recording_faults import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.with_discrepancy import WithDiscrepancy, with_discrepancy
 from mbcacq.calibration.with_effects import refitted, refitted_effects
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
-from mbcacq.estimation.one_thread import one_thread
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import copies, select_phases, without_copies
-from mbcacq.estimation.random_links import with_random_links
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording, with_random_links
+from mbcacq.estimation.options import CalibrationOptions, copies, select_phases, without_copies
+from mbcacq.estimation.solver import one_thread
 from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 

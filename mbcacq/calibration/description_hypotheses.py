@@ -1,4 +1,4 @@
-"""Simple mistakes in describing a recording of poses, each as the change that undoes it."""
+"""Simple mistakes in describing a recording of poses, each as the change that undoes it; balls taken for each other show by themselves."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
 from mbcacq.geometry.orientations import in_words, to_matrices, to_numbers
+from mbcacq.model import shipped
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Station
 from mbcacq.model.observations import Observations
 
@@ -29,6 +30,8 @@ LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer i
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
 LENGTHS = ("metres", 1e3), ("centimetres", 10.0), ("inches", INCH_MM)
+NEAR_BALLS = 5.0  # times noise and uncertainty of the certificate: how well distances between balls must agree
+MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,15 @@ def hypotheses(o: Observations) -> Iterator[Misreading]:
     yield from _certified(o)
     yield from _frames(o)
     yield from _columns(o)
+
+
+def other_arms(o: Observations) -> Iterator[Misreading]:
+    """The links of each arm of the tool's own with as many axes, in place of those of the arm that is named."""
+    named = o.cell.robot
+    for robot in map(shipped.robot, shipped.robots()):
+        if robot.n == named.n and robot.name != named.name:
+            what = f"the links of {robot.name} in place of {named.name}"
+            yield Misreading(what, "arm", lambda o, chain=robot.chain: _with_chain(o, lambda _: chain))
 
 
 def _units(o: Observations) -> Iterator[Misreading]:
@@ -254,3 +266,62 @@ def _requaternion(o: Observations, order: tuple[int, ...]) -> np.ndarray:
     xyzw = Rotation.from_matrix(_rotation(o)).as_quat()
     wxyz = np.concatenate([xyzw[:, 3:], xyzw[:, :3]], axis=1)[:, order]
     return Rotation.from_quat(np.concatenate([wxyz[:, 1:], wxyz[:, :1]], axis=1)).as_matrix()
+
+
+def exchanged_balls(obs: Observations) -> str:
+    """A sentence on balls whose numbers are exchanged, by the distances between the balls of each scan; '' where the numbers agree with
+    them, or no exchange makes them agree."""
+    measured = _mean_distances(obs)
+    if measured is None:
+        return ""
+    certified = np.linalg.norm(obs.cell.ball_centres[:, None] - obs.cell.ball_centres[None], axis=2)
+    noise = 0.02 if obs.cell.noise_mm is None else float(np.mean(obs.cell.noise_mm))
+    agree = NEAR_BALLS * (noise + max(a.uncertainty_mm for a in obs.cell.artefacts))
+    if not np.nanmax(np.abs(measured - certified)) > agree:
+        return ""
+    order = _matched(measured, certified, obs.cell.ball_artefact, agree)
+    if order is None:
+        return ""
+    ids = obs.cell.ball_ids
+    pairs = ", ".join(f"{ids[k]} is certified as {ids[as_]}" for k, as_ in enumerate(order) if as_ != k)
+    return f"the numbers of balls are exchanged (by the distances between them, {pairs}); correct the certificate or the numbers"
+
+
+def _matched(measured: np.ndarray, certified: np.ndarray, artefact: np.ndarray, agree: float) -> list[int] | None:
+    """Which certified ball of its artefact each measured one is, so that all distances (K, K) agree within ``agree`` mm; None where there
+    is no such assignment. Ball after ball is assigned, and taken back where a distance to the balls before it does not fit."""
+    order: list[int] = []
+    choices = [iter(np.flatnonzero(artefact == artefact[0]))]
+    for _ in range(MOST_TRIED):
+        k = len(order)
+        if k == len(measured):
+            return order
+        chosen = next((int(c) for c in choices[-1] if c not in order and _fits(measured[k, :k], certified[c, order], agree)), None)
+        if chosen is not None:
+            order.append(chosen)
+            choices.append(iter(np.flatnonzero(artefact == artefact[min(k + 1, len(measured) - 1)])))
+        elif order:
+            order.pop()
+            choices.pop()
+        else:
+            return None
+    return None
+
+
+def _fits(measured: np.ndarray, certified: np.ndarray, agree: float) -> bool:
+    """Whether the distances that were measured agree; NaN stands for one that was not."""
+    return not np.any(np.abs(measured - certified) > agree)
+
+
+def _mean_distances(obs: Observations) -> np.ndarray | None:
+    """(K, K) mm mean distance of two balls over the scans that show both, NaN where none does; None of one ball a scan."""
+    K = len(obs.cell.ball_ids)
+    where = np.full((obs.n_poses, K, 3), np.nan)
+    where[obs.pose, obs.ball] = obs.xyz
+    apart = np.linalg.norm(where[:, :, None] - where[:, None], axis=3)
+    seen = np.isfinite(apart)
+    seen[:, np.arange(K), np.arange(K)] = False
+    count = seen.sum(axis=0)
+    if not count.any():
+        return None
+    return np.where(count > 0, np.where(seen, apart, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)

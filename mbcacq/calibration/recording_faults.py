@@ -1,24 +1,126 @@
-"""Joint noise against the arm's data sheet, and the single pose that explains it where one does.
+"""What simple fault while a recording was made explains its misfit: found by cheap tests, each of which has one story.
 
+A place that moved, a scanner that slipped or a joint that stepped at a moment are further columns of the linear problem. Their gain of chi
+square follows from the solution without another fit, and so does that of a pose that is left out (Cook 1977; Belsley, Kuh, Welsch 1980).
 One wrong pose of a small recording raises the estimated joint noise so far that no outlier test finds it. With the noise of the data sheet
-instead, leaving that pose out takes most of the misfit away, while leaving out any other does not. The change by each deletion follows from
-the linearised solution (Cook 1977; Belsley, Kuh, Welsch 1980).
+instead, leaving that pose out takes most of the misfit away, while leaving out any other does not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
 
-from mbcacq.estimation.noise import first_noise
+from mbcacq.calibration.change import in_words, kinds_of_change
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.outliers import chi2_quantile
+from mbcacq.estimation.pose_information import chi2_quantile
 from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.solver import solve
+from mbcacq.estimation.step_test import StepTest
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.cell import Cell
+
+EXPLAINED = 0.7  # share of the misfit beyond the noise that a story must remove to be said
+SCATTER = 6.0  # standard deviations of chi square, within which a misfit needs no story
+APART = 20.0  # of chi square to the best story of another kind: odds of e^10; a wrong name is worse than none
+SAME = 20.0  # of chi square: moments that are this near are said as a range
+MOST_POSES = 400  # whose moments are looked at
+
+
+@dataclass(frozen=True)
+class Story:
+    """A simple fault while the recording was made.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of fault; the best one of each kind is kept.
+    gain : float
+        Fall of chi square.
+    freedom : float
+        Parameters it takes, and what the choice of its moment or pose is worth.
+    pose : int or None
+        Number of the pose that it is about, None where it is about no single one.
+    """
+
+    kind: str
+    text: str
+    gain: float
+    freedom: float
+    pose: int | None = None
+
+    @property
+    def net(self) -> float:
+        return self.gain - self.freedom
+
+
+def fault_of(strict: Solution, known: Collection[int] = ()) -> str:
+    """A sentence on the one simple fault while the recording was made that explains it. It is '' if none does, if the misfit is within the
+    scatter of the noise, or if one of the ``known`` poses (their numbers) explains it.
+
+    Parameters
+    ----------
+    strict : Solution
+        The recording, every pose with full weight, solved under the noise that statement and data sheet allow.
+    known : Collection[int]
+        Poses that were rejected already.
+    """
+    misfit = beyond_noise(strict, strict.cost)
+    best = convincing(list(stories(strict)), misfit) if misfit else None
+    return "" if best is None or best.pose in known else best.text
+
+
+def beyond_noise(at: Solution, chi2: float) -> float:
+    """How much of a chi square with the weights of a solution the noise does not explain; 0 where it is within its scatter."""
+    weights = at.weights.centre * at.weights.pose[at.lineariser.obs.pose]
+    flat = int(np.sum(~np.isfinite(at.prior.sigma))) + int(at.normal.station_rank.sum())
+    dof = max(at.lineariser.rows.width * float(weights.sum()) - flat, 1.0)
+    return chi2 - dof if chi2 - dof > SCATTER * np.sqrt(2 * dof) else 0.0
+
+
+def convincing(found: list[Story], misfit: float) -> Story | None:
+    """The best story where it explains enough and no story of another kind comes near."""
+    if not found:
+        return None
+    ranked = sorted(found, key=lambda s: -s.net)
+    best = ranked[0]
+    others = [s for s in ranked if s.kind != best.kind]
+    if best.gain < EXPLAINED * misfit or (others and others[0].net > best.net - APART):
+        return None
+    return best
+
+
+def stories(strict: Solution) -> Iterator[Story]:
+    """The best of each kind."""
+    obs = strict.lineariser.obs
+    if obs.n_poses <= MOST_POSES:
+        yield from _moments(strict)
+    deleted = deletions(strict, np.zeros(0, dtype=int))
+    pose = int(np.argmax(deleted.chi2 - deleted.rank))
+    number = int(obs.pose_id[pose])
+    text = f"pose {number} alone explains it; measure it again before it is left out"
+    price = float(deleted.rank[pose]) + 2 * np.log(obs.n_poses)
+    yield Story("pose", text, float(deleted.chi2[pose]), price, number)
+
+
+def _moments(strict: Solution) -> Iterator[Story]:
+    """The best moment of each kind of change that has a story."""
+    test, obs = StepTest(strict), strict.lineariser.obs
+    for kind in kinds_of_change(strict):
+        among = np.flatnonzero(kind.among)
+        if kind.name not in ("station", "mount", "joint") or not len(among):
+            continue
+        gains = test.of(kind.columns).gain
+        best = among[int(np.argmax(gains[among]))]
+        near = among[gains[among] > gains[best] - SAME]
+        before, after = (int(obs.pose_id[test.order[t]]) for t in (near.min() - 1, near.max()))
+        what, to_do = in_words(kind.name, kind.where)
+        price = kind.columns.shape[2] + 2 * float(np.log(obs.n_poses))
+        yield Story(kind.name, f"{what} between pose {before} and pose {after}; {to_do}", float(gains[best]), price)
 
 
 @dataclass(frozen=True)

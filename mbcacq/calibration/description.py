@@ -1,18 +1,21 @@
-"""A quick robust fit of the plain geometry: hand-eye and station poses, the arm as it is described.
+"""Whether a recording is described as it was made: simple changes of its description, compared by a quick robust fit.
 
-Every measurement says that a point m that moves with the flange and a point f of a station coincide: F_i T_e m = T_s f. Here F_i is the
-pose of the flange, T_e the hand-eye transform and T_s the station's pose. For a scanner on the flange m is the measured centre and f the
-certified one; for an instrument that watches a target m belongs to the target and f is measured. A measured orientation counts as three
-points more, ``LEVER_MM`` along its axes. With affine instead of rigid T_e and T_s the equations are linear: that is the start; Gauss-Newton
-with iteratively reweighted residuals follows.
+The fit is of the plain geometry: hand-eye and station poses, the arm as it is described. Every measurement says that a point m that moves
+with the flange and a point f of a station coincide: F_i T_e m = T_s f. Here F_i is the pose of the flange, T_e the hand-eye transform and
+T_s the station's pose. For a scanner on the flange m is the measured centre and f the certified one; for an instrument that watches a
+target m belongs to the target and f is measured. A measured orientation counts as three points more, ``LEVER_MM`` along its axes. With
+affine instead of rigid T_e and T_s the equations are linear: that is the start; Gauss-Newton with iteratively reweighted residuals follows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.calibration.description_hypotheses import Misreading, exchanged_balls, hypotheses, other_arms
+from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -25,6 +28,92 @@ KEPT = 0.8  # share of the smallest squared distances that the residual counts, 
 RIDGE = 1e-9  # of a scaled normal matrix
 DECLARED_SIGMA_MM = 5.0  # of a declared station pose without sigma_mm
 HUBER = 1.5  # robust standard deviations from which a residual counts less
+MOST, OF_ANOTHER_ARM = 0.3, 0.2  # share of the misfit that may remain with a change, and with the links of another arm
+SAME = 1.25  # factor within which two changes explain as much and cannot be told apart
+LIKELIER = ("sign", "unit", "handedness", "orientation", "order", "offset", "coupling", "frame", "rows", "arm")  # of those that fit alike
+SCREENED = 8  # changes of the smallest residual in a few steps that are fitted to the end
+MOST_ALTERNATIVES = 3  # named in the text; a mirror of positions is any mirror
+MOST_CHANGES = 2  # mistakes found one after the other
+
+
+@dataclass(frozen=True)
+class DescriptionFinding:
+    """A mistake of the description that fits. before_mm, after_mm: residual without and with its change; alternatives: those that fit as
+    well, in words."""
+
+    mistake: Misreading
+    before_mm: float
+    after_mm: float
+    alternatives: tuple[str, ...]
+
+    @property
+    def what(self) -> str:
+        """The change in words, after 'with'."""
+        return self.mistake.what
+
+    def __str__(self) -> str:
+        text = f"with {self.what} the residual falls from {_number(self.before_mm)} to {_number(self.after_mm)} mm"
+        if not self.alternatives:
+            return text
+        more = len(self.alternatives) - MOST_ALTERNATIVES
+        others = " or ".join(self.alternatives[:MOST_ALTERNATIVES])
+        return f"{text} (the data cannot tell it from {others}{f' and {more} more' if more > 0 else ''})"
+
+
+def misdescribed(obs: Observations) -> str:
+    """A sentence on what is described otherwise than it was measured: numbers of balls, signs, units, orders and frames, the arm; '' where
+    no simple change of the description removes most of the misfit."""
+    if exchanged := exchanged_balls(obs):
+        return exchanged
+    if found := wrong_descriptions(obs):
+        return "; ".join(map(str, found))
+    arm = _best(obs, other_arms(obs), OF_ANOTHER_ARM)
+    return f"{arm}; name that arm" if arm else ""
+
+
+def with_likely_cause(error: CalibrationError, observations: Observations) -> CalibrationError:
+    """The error with the simple change of the description that removes most of the misfit, where there is one."""
+    found = wrong_descriptions(observations)
+    return CalibrationError(f"{error}; {'; '.join(map(str, found))}") if found else error
+
+
+def wrong_descriptions(observations: Observations) -> tuple[DescriptionFinding, ...]:
+    """Changes of convention that remove most of the misfit, in the order of finding: each was sought with those before it made."""
+    found: list[DescriptionFinding] = []
+    current = observations
+    for _ in range(MOST_CHANGES):
+        finding = _best(current, hypotheses(current), MOST)
+        if finding is None:
+            break
+        found.append(finding)
+        current = finding.mistake.change(current)
+    return tuple(found)
+
+
+def _best(observations: Observations, among: Iterable[Misreading], most: float) -> DescriptionFinding | None:
+    """The change that fits best, where it leaves at most a share ``most`` of the misfit; all are screened, the best are fitted."""
+    few = subset(observations)
+    before = residual_mm(few)
+    screened = sorted(((_score(few, h, True), i, h) for i, h in enumerate(among)), key=lambda s: s[:2])
+    scored = sorted(((_score(few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
+    near = [(score, h) for score, _, h in scored if score < min(most * before, SAME * scored[0][0])]
+    if not near:
+        return None
+    near.sort(key=lambda pair: LIKELIER.index(pair[1].kind))
+    score, best = near[0]
+    return DescriptionFinding(best, before, score, tuple(h.what for _, h in near[1:]))
+
+
+def _score(observations: Observations, hypothesis: Misreading, screening: bool) -> float:
+    """Infinite where the change leaves nothing that can be fitted."""
+    try:
+        return residual_mm(hypothesis.change(observations), screening)
+    except (ValueError, np.linalg.LinAlgError):
+        return float("inf")
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if value < 1e4 else f"{value:.0f}"
 
 
 @dataclass(frozen=True)
