@@ -110,8 +110,8 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = replace(conclude(problem, judge(problem, full, validation)), model=kept or None)
     if asked.formulas:
-        proposed = propose(problem, full, result.effects, asked.progress)
-        result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
+        proposals, tried = propose(problem, full, result.effects, asked.progress)
+        result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
     dependences = tuple(one.entry for one in variations)
     noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *notes)
     result = replace(result, notes=noted, noise_depends_on=dependences)

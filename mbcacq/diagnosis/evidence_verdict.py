@@ -12,7 +12,7 @@ from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_term import UNKNOWN
 

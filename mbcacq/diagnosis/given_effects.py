@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.evidence.coefficients import geometry_of
-from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, with_untried_rivals
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, geometry_of, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized, widened

@@ -15,8 +15,7 @@ from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.findings import EvidenceSummary
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.model_fit import ModelFit, fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, elsewhere, errors_elsewhere

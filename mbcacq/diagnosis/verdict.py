@@ -11,7 +11,7 @@ from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
 from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance

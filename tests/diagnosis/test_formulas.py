@@ -67,7 +67,7 @@ def recording(short):
 def proposals(recording):
     problem = model_fit.prepare(recording)
     full = model_fit.fit_model(problem)
-    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells]).proposals
+    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells])[0]
 
 
 def test_the_concealed_formula_is_the_most_probable(proposals):

@@ -9,7 +9,7 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import compared
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import model_of
+from mbcacq.diagnosis.model_fit import model_of
 from mbcacq.diagnosis.output.effects_table import merged_parameters, parameters_of_branches
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack

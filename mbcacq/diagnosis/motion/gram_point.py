@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 
 from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.normal_store import MISMATCH
+from mbcacq.diagnosis.motion.normal_store import weighted_sum
 from mbcacq.diagnosis.motion.options import RIDGE
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 
@@ -64,12 +64,8 @@ class GramProblem:
 
     def weighted(self, weights: np.ndarray, corrected: bool) -> np.ndarray:
         """(P + 1, P + 1) normal matrix of all columns, mismatch last. corrected: for its delay."""
-        P = len(self.prior)
-        out = np.zeros((P + 1, P + 1))
-        for numbers, gram, late, weight in zip(self.numbers, self.gram, self.late, weights, strict=True):
-            at = np.where(numbers == MISMATCH, P, numbers)
-            out[np.ix_(at, at)] += weight * self._with_mismatch(gram, late, corrected)
-        return out
+        each = [self._with_mismatch(gram, late, corrected) for gram, late in zip(self.gram, self.late, strict=True)]
+        return weighted_sum(self.numbers, each, weights, len(self.prior))
 
     def restricted(self, ids: np.ndarray, corrected: bool) -> np.ndarray:
         """(J, c + 1, c + 1) products of these columns by joint, mismatch last."""

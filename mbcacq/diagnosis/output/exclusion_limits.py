@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import NOT_SIZES
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.compensation import Compensation, largest
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, errors_of, harmless

@@ -12,7 +12,7 @@ from mbcacq.diagnosis.evidence.between_sets import LEAST_APART
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, harmless
 from mbcacq.diagnosis.problem import DiagnosisProblem
