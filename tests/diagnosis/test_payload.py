@@ -132,7 +132,7 @@ def test_a_payload_that_is_not_excluded_and_changes_a_compliance_leaves_it_open(
 
     def changing(beside):
         sets = [WeightedSet(1.0, {"joint_compliance:A3": {key: ParameterEstimate(value, 5e-8)}}) for value in (beside, 4.6e-6)]
-        return [c.changed for c in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
+        return [changed for _, changed in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
 
     assert reported_hypothesis(fit) is likely[1]
     assert changing(4.0e-6) == [frozenset({"joint_compliance:A3"})]

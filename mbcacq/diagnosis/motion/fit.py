@@ -207,7 +207,7 @@ def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v
         parameters=parameters,
         p_value=judged.p_value,
         gain=judged.before - judged.after,
-        steps=[_step(model.group, candidate, parameters, judged)],
+        steps=[_step(model.group, candidate, parameters, judged)] if len(judged.before) else [],
         alternatives=judged.alternatives,
         contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
