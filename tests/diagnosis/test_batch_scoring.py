@@ -4,17 +4,15 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates, evidence_of_one
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import eigenvalues
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 
 
 @pytest.fixture(scope="module")
 def setup(plan):
-    return model_fit.prepare(
-        simulated.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)])
-    )
+    return prepare(simulated.observe(plan, 161, [("joint_compliance", ("A2",), [2e-6], None), ("joint_scale", ("A5",), [3e-4], None)]))
 
 
 @pytest.mark.parametrize("effects", [(), (("joint_compliance", "A2"),), (("joint_compliance", "A2"), ("joint_scale", "A5"))])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, says_too_little, sufficient_poses
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import Member
 
 
@@ -22,7 +22,7 @@ def few():
 
 @pytest.fixture(scope="module")
 def some_effect(few):
-    return next(c for c in problem.prepare(few).candidates if c.name == "joint_compliance")
+    return next(c for c in prepare(few).candidates if c.name == "joint_compliance")
 
 
 def limited(candidate, **limits):
