@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.executor import Executor, Refit, Refitting, WorkerPool, executor
 from mbcacq.diagnosis.formulas.propose import propose
@@ -22,7 +21,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.verdict import conclude, judge
-from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -74,8 +73,6 @@ def diagnose(
     try:
         with executor(workers, minutes) as by:
             return _diagnose(recordings, asked, by)
-    except ContradictionError as error:
-        raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.evidence.between_sets import alternatives_to
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
@@ -23,7 +22,7 @@ from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_eff
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import one_thread
 from mbcacq.model.observations import Observations
@@ -120,7 +119,5 @@ def weigh(recordings: Observations | Sequence[Observations], options: Calibratio
         with one_thread():
             problem = prepare(recordings, options_for(first, options or CalibrationOptions()))
             return InterimEvidence(problem, fit_model(problem))
-    except ContradictionError as error:
-        raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
