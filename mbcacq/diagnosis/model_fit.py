@@ -92,15 +92,15 @@ class ModelFit:
         if not self.everywhere:
             return self.model.coefficients[own], self.model.covariance[own, own]
         joint, place = self.joint, (candidate.where[0], candidate.depends_on)
-        if place not in self._beside:
+        if place not in self._with_other_groups:
             others = [g for g, one in enumerate(self.random) if (one.location, one.depends_on) != place]
             index = joint.index(range(len(joint.effects)), others)
-            self._beside[place] = Posterior(joint.sigma[index], joint.products.of_columns(index))
+            self._with_other_groups[place] = Posterior(joint.sigma[index], joint.products.of_columns(index))
         at = np.arange(joint.effects[number].start, joint.effects[number].stop)
-        return self._beside[place].solution[at], self._beside[place].covariance_of(at)
+        return self._with_other_groups[place].solution[at], self._with_other_groups[place].covariance_of(at)
 
     @cached_property
-    def _beside(self) -> dict[tuple[str, str], Posterior]:
+    def _with_other_groups(self) -> dict[tuple[str, str], Posterior]:
         return {}
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.random_effect_sizes import consecutive
 
 NO_COLUMNS, NO_COEFFICIENTS = np.zeros(0, dtype=int), np.zeros(0)
 
@@ -69,8 +70,7 @@ def prior_sigma(members: Sequence[Member]) -> np.ndarray:
 
 def slices_of(members: Sequence[Member]) -> tuple[slice, ...]:
     """Which coefficients belong to which effect."""
-    ends = np.cumsum([0] + [m.candidate.k for m in members])
-    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    return consecutive(m.candidate.k for m in members)
 
 
 @dataclass(frozen=True)
