@@ -80,8 +80,8 @@ def likely_cause_named(observations: Observations) -> Iterator[None]:
     try:
         yield
     except ContradictionError as error:
-        found = wrong_descriptions(observations)
-        raise (CalibrationError(f"{error}; {'; '.join(map(str, found))}") if found else error) from None
+        found = misdescribed(observations)
+        raise (CalibrationError(f"{error}; {found}") if found else error) from None
 
 
 def wrong_descriptions(observations: Observations) -> tuple[DescriptionFinding, ...]:
@@ -101,8 +101,8 @@ def _best(observations: Observations, among: Iterable[Misreading], most: float) 
     """The change that fits best, where it leaves at most a share ``most`` of the misfit; all are screened, the best are fitted."""
     few = subset(observations)
     before = residual_mm(few)
-    screened = sorted(((_score(few, h, True), i, h) for i, h in enumerate(among)), key=lambda s: s[:2])
-    scored = sorted(((_score(few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
+    screened = sorted(((_score(observations, few, h, True), i, h) for i, h in enumerate(among)), key=lambda s: s[:2])
+    scored = sorted(((_score(observations, few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
     near = [(score, h) for score, _, h in scored if score < min(most * before, SAME * scored[0][0])]
     if not near:
         return None
@@ -111,10 +111,11 @@ def _best(observations: Observations, among: Iterable[Misreading], most: float) 
     return DescriptionFinding(best, before, score, tuple(h.what for _, h in near[1:]))
 
 
-def _score(observations: Observations, hypothesis: Misreading, screening: bool) -> float:
-    """Infinite where the change leaves nothing that can be fitted."""
+def _score(observations: Observations, few: Observations, hypothesis: Misreading, screening: bool) -> float:
+    """Infinite where the change leaves nothing that can be fitted. few: the subset that is fitted; rows are moved before it is taken."""
     try:
-        return residual_mm(hypothesis.change(observations), screening)
+        changed = subset(hypothesis.change(observations)) if hypothesis.kind == "rows" else hypothesis.change(few)
+        return residual_mm(changed, screening)
     except (ValueError, np.linalg.LinAlgError):
         return float("inf")
 

@@ -49,6 +49,16 @@ def tracked():
     return Observations(cell, numbers, np.zeros(POSES, int), q, numbers, np.zeros(POSES, int), xyz, rotation=target[:, :3, :3])
 
 
+def test_rows_are_shifted_before_some_of_them_are_chosen(tracked):
+    """Of 130 poses 60 are fitted; a shift among those would be a shift by two rows."""
+    rng = np.random.default_rng(8)
+    q = np.radians([0, -80, 90, 0, 20, 0] + rng.uniform(-60, 60, (130, 6)))
+    target = se3.inverse(se3.transform(se3.rotation_exp(np.array([0.1, -0.2, 2.0])), np.array([2500.0, -700, 300]))) @ frames(q)
+    numbers = np.arange(130)
+    many = Observations(tracked.cell, numbers, np.zeros(130, int), np.roll(q, 3, axis=0), numbers, np.zeros(130, int), target[:, :3, 3])
+    assert wrong_descriptions(many)[0].what == "each measurement belonging to the pose 3 rows on"
+
+
 MISTAKES = [
     (lambda o: replace(o, q=o.q * [1, 1, 1, -1, 1, 1]), "A4 reversed"),
     (lambda o: replace(o, q=np.radians(o.q)), "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.profile_start import CLEARLY, NEVER_MM, ProfileStart, find_start, measured_centres
+from mbcacq.calibration.profile_start import CLEARLY, NEVER_MM, ProfileStart, find_start, measured_centres, radius_by_profiles
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
 from mbcacq.geometry import se3
@@ -25,6 +25,7 @@ from mbcacq.spheres.circles import Circle, circles_in
 
 NUMBER_WORDS = ("profile", "profile_no", "profile_id", "profile_number", "frame", "frame_index", "scan", "pose", "trigger")
 LEAST_PROFILES = 12
+SURE = 5.0  # standard uncertainties by which profiles contradict the stated radius
 TRIED = 30  # profiles that readings of the columns are compared with
 
 
@@ -124,8 +125,15 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
         )
     moving = best.hand if best.measurement == ARTEFACT_IN_SCANNER else se3.inverse(best.hand)
     best = replace(best, start=find_start(moving, sections.circles, radius))
+    own_radius, sigma = radius_by_profiles(moving, sections.circles, radius, best.start)
+    if abs(own_radius - radius) > SURE * sigma:
+        raise ConfigError(
+            f"{table.path}: the profiles say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2), and --diameter "
+            f"{2 * radius:g}; correct the diameter, or the unit of the profiles"
+        )
+    said = f"the profiles alone say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2)"
     obs = sphere_observations(best.hand, best.measurement, best.start, sections, radius, str(table.path))
-    return UnderstoodTable(obs, tuple(_sentences(best, sections, columns, options)))
+    return UnderstoodTable(obs, (*_sentences(best, sections, columns, options), said))
 
 
 def _tried(
