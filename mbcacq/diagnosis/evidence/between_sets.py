@@ -55,7 +55,7 @@ class BetweenSets:
 
     @classmethod
     def of(cls, fit: EvidenceFit) -> BetweenSets:
-        """Of the sets of a fit."""
+        """What the sets of a fit that are not excluded state."""
         reported = reported_hypothesis(fit) if fit.significant else fit.none
         best = max(fit.hypotheses[0].log_posterior, reported.log_posterior)
         likely = [h for h in fit.hypotheses if h is reported or h.log_posterior > best + np.log(OPTIONS.undecided)]
