@@ -131,8 +131,8 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 
 def verdict_of(full: ModelFit) -> str:
-    """The verdict on the data of the fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell`` if
-    the evidence is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared.
+    """The verdict on the data of the fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell``
+    if the evidence is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared.
     Otherwise it says which explain more of the mismatch: effects of the catalogue, or unmodelled ones.
     """
     fit = full.evidence
