@@ -161,7 +161,7 @@ def found_change(fitted: Adjustment) -> ChangeFound | None:
 
 def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
     """Every kind of change that a recording may show."""
-    obs, prediction = at.lineariser.obs, at.linear.prediction
+    obs, prediction = at.lineariser.obs, at.there.prediction
     moment, n, names = np.arange(obs.n_poses + 1), obs.cell.robot.n, ("x", "y", "z")
     every = (moment >= OPTIONS.least_side) & (moment <= obs.n_poses - OPTIONS.least_side)
 
@@ -226,7 +226,7 @@ def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -
     after = np.zeros(obs.n_poses, bool)
     after[measuring_order(obs)[moment:]] = True
     step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
-    columns, k = at.linear.columns.with_parameters(step), step.shape[2]
+    columns, k = at.columns.with_parameters(step), step.shape[2]
     prior = Prior(
         np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)]),
         np.concatenate([at.prior.offset, np.zeros(k)]),

@@ -172,7 +172,7 @@ def plain_least_squares(alone: Adjustment) -> Adjustment:
     solution, noise = alone.solution, Noise(np.ones(3), still, 1e-3)
     for _ in range(2):
         solution = solve(solution, noise, every)
-        square = np.mean(solution.linear.residual**2, axis=0)
+        square = np.mean(solution.residual**2, axis=0)
         common = np.sqrt(obs.n_centres / obs.n_poses)
         turn = float(np.sqrt(np.mean(square[3:]))) * common if len(square) > 3 else 1e-3
         noise = Noise(np.full(3, float(np.sqrt(np.mean(square[:3]))) * common), still, turn)
