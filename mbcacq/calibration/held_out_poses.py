@@ -14,6 +14,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.verification import points_in_base
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation.adjustment import Known, as_it_is
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.solver import solve
