@@ -17,7 +17,7 @@ from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import ON_THE_ARM
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import learnt_ranges
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linearization import Lineariser

@@ -178,7 +178,7 @@ def random_effects(best: Hypothesis) -> RandomEffectsModel:
     """The unmodelled effects of a hypothesis."""
     members, values, covariance = part_of(best, lambda m: m in best.unmodelled)
     linear = best.point.linear
-    moved = [tuple(candidate_parts(linear, m.candidate)) for m in members]
+    moved = [tuple(candidate_parts(linear, m.candidate, m.hyper)) for m in members]
     groups = tuple(
         RandomEffect(m.candidate.where[0], m.candidate.depends_on, parts, m.size * m.candidate.typical)
         for m, parts in zip(members, moved, strict=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.allowed_names import with_allowed_names
 from mbcacq.diagnosis.evidence.coefficients import relinearized
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence, kept_centres, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
@@ -42,11 +43,13 @@ class Searched:
 
 def search(problem: DiagnosisProblem) -> Searched:
     """The sets of effects of the most evidence, and the one that is reported."""
+    robot = problem.context.obs.cell.robot
     if not problem.in_part:
-        fit = with_untried_rivals(problem, fit_evidence(problem))
+        fit = with_allowed_names(with_untried_rivals(problem, fit_evidence(problem)), robot)
         return Searched(problem=problem, fit=fit, members=reported_hypothesis(fit).catalogued)
     part = problem.searched(problem.linear.keep)
     fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
+    fit = with_allowed_names(fit, robot)
     return Searched(problem=part, fit=fit, members=transferred(part, problem, reported_hypothesis(fit).catalogued))
 
 
@@ -58,7 +61,8 @@ def fit_everywhere(problem: DiagnosisProblem, searched: Searched) -> ModelFit:
     if not problem.in_part:
         return model_of(problem, searched.fit, found, searched.fit.linear)
     point = on_the_whole(problem, searched.members, found)
-    random, noise, cells = random_effects_everywhere(problem, searched.problem, found, point.noise)
+    # What was refused as a name is unmodelled for certain.
+    random, noise, cells = random_effects_everywhere(problem, searched.problem, found, point.noise, known=bool(found.unmodelled))
     if random:
         best = under(replace(point, theta=pack(noise)), searched.members, found.log_prior)
     else:
@@ -73,6 +77,7 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
     """
     part = problem.searched(keep)
     fit = compared(part, part.linear, pack(part.noise), narrow=not problem.in_part, staged=problem.in_part)
+    fit = with_allowed_names(fit, part.context.obs.cell.robot)
     best = reported_hypothesis(fit)
     if not problem.in_part:
         found = model_of(problem, fit, best, part.linear)

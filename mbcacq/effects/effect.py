@@ -35,6 +35,7 @@ __all__ = [
     "PriorOdds",
     "Parameters",
     "StandstillRows",
+    "Support",
     "Report",
     "joined_parameters",
     "label_of",
@@ -180,6 +181,28 @@ class PriorOdds:
 
 
 @dataclass(frozen=True)
+class Support:
+    """What physics allows of an effect at a location, beside the sign: the support of the prior of its size.
+
+    Attributes
+    ----------
+    largest
+        Size of a coefficient, in its own unit, that no such effect exceeds; one number, or one for each coefficient.
+    limit
+        What makes that impossible, as the end of a sentence.
+    refused
+        Of an unmodelled effect: the sentence on the name that it cannot have.
+    """
+
+    largest: float | np.ndarray = np.inf
+    limit: str = ""
+    refused: str = ""
+
+
+ANY_SIZE = Support()
+
+
+@dataclass(frozen=True)
 class Candidate(Generic[R]):
     """One effect at one location, ready to be tested in recordings of one kind: of poses, or of motion.
 
@@ -206,6 +229,8 @@ class Candidate(Generic[R]):
         Its prior odds beside the effect through which it shows, if most arms like this one have it.
     least_size
         Size of its coefficients, in typical ones, below which an arm like this one does not have it.
+    support
+        What physics allows of its size.
     """
 
     name: str
@@ -220,6 +245,7 @@ class Candidate(Generic[R]):
     rarity: float = 1.0
     usual: PriorOdds | None = None
     least_size: float = 0.0
+    support: Support = field(default=ANY_SIZE, compare=False)
 
     def __post_init__(self) -> None:
         if not hasattr(self.rows, "typical"):

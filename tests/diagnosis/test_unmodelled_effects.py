@@ -22,8 +22,9 @@ from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import parts_of
-from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
+from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.effects.functions import DescribedPart, evaluate, of, sine
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.variance_components import pack

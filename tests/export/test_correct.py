@@ -13,8 +13,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain

@@ -27,7 +27,8 @@ from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
 from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
 

@@ -80,6 +80,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         return []
     reported = reported_hypothesis(full.evidence)
     return [
+        *dict.fromkeys(m.candidate.support.refused for m in reported.unmodelled if m.candidate.support.refused),
         *other_covariates(full.evidence, reported),
         *partial_periods(setup, full),
         *aliased(setup, reported),
