@@ -114,6 +114,12 @@ def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
     return test & ~unknown
 
 
+def predicted(held: Observations, cell: CellState | CalibratedCell, by_station: bool) -> tuple[np.ndarray, int]:
+    """(M,) mm distances of held-out centres from their prediction, and the degrees of freedom that it took: the places of whole stations,
+    which nothing else tells, are fitted to them."""
+    return about_best_station(held, cell) if by_station else (prediction_error(held, cell), 0)
+
+
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
     state, effects = _parts(cell)
