@@ -118,7 +118,7 @@ class Lineariser:
         beside, wide = self._beside(moved if as_twists else none, prediction, turn, as_twists)
         own = OwnColumns(turn, self.ball, self.free_balls, none if as_twists else beside)
         moved = beside if as_twists else moved
-        return PoseColumns(basis, moved, of_station, jointly, own, there.rows, by_rows, wide)
+        return PoseColumns(basis, moved, of_station, jointly, own, there.rows, by_rows=by_rows, wide=wide)
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the
