@@ -71,7 +71,8 @@ class PosesGiven:
             term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
             for m, own in zip(best.members, found.slices(), strict=True)
         ]
-        held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True) for g in self.problem.given]
+        # They were learnt in a motion, so the poses say nothing of the range in which they hold.
+        held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True, clamped=()) for g in self.problem.given]
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)
 
 
