@@ -40,6 +40,11 @@ _TABLE_OPTIONS = (
     click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
     click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner is fixed, the target on the flange."),
     click.option(
+        "--flange-inverted/--flange-direct",
+        default=None,
+        help="Whether the flange's columns are the pose of the base as the flange sees it, or of the flange in the base.",
+    ),
+    click.option(
         "--target-inverted/--target-direct",
         default=None,
         help="Whether the target's columns are the pose of the camera as the target sees it, or of the target as the camera sees it.",

@@ -21,6 +21,7 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
+from mbcacq.diagnosis.validation.found_again import repetitions
 from mbcacq.diagnosis.verdict import conclude, judge
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
@@ -88,7 +89,11 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
 
     asked.progress("searching for effects")
     # The parts of a long recording do not depend on what all of it shows: other processes search them from the start.
-    again = RepeatedSearch.begin(replace(problem, budget=by.budget), asked.folds, by.pool, True) if problem.in_part else None
+    again = halves = None
+    if problem.in_part:
+        within = replace(problem, budget=by.budget)
+        again = RepeatedSearch.begin(within, asked.folds, by.pool, True)
+        halves = again if again.of_halves else RepeatedSearch.halves(within, by.pool)
     found = search(problem)
     if problem.in_part:  # what is left nearly always asks for groups at all locations
         refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(found.members)))
@@ -108,9 +113,10 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     validation = validated(full, again, asked.progress)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)
+    repeated = repetitions(full, halves or again)
 
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, judge(problem, full, validation)), model=kept or None)
+    result = replace(conclude(problem, judge(problem, full, validation, repeated)), model=kept or None)
     if asked.formulas:
         proposed = propose(problem, full, result.effects, asked.progress)
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.allowed_names import with_allowed_names
+from mbcacq.diagnosis.evidence.between_sets import ByEffect, by_effect
 from mbcacq.diagnosis.evidence.coefficients import relinearized
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence, kept_centres, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
@@ -70,8 +71,18 @@ def fit_everywhere(problem: DiagnosisProblem, searched: Searched) -> ModelFit:
     return replace(model_of(problem, searched.fit, best, point.linear), random=random, cells=cells)
 
 
-def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
-    """The effects and random effects that the centres in keep (M,) bool speak for; those of a long recording have no coefficients.
+@dataclass(frozen=True, kw_only=True)
+class PartModel:
+    """What a part of a recording shows. model: the effects, those of a long recording without coefficients; stated: what the part states of
+    each, by ``name:where``."""
+
+    model: EffectSet
+    random: tuple[RandomEffect, ...]
+    stated: ByEffect
+
+
+def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> PartModel:
+    """The effects and random effects that the centres in keep (M,) bool speak for.
 
     unmodelled: of a long recording, whether there is anything but effects of the catalogue.
     """
@@ -81,9 +92,10 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
     best = reported_hypothesis(fit)
     if not problem.in_part:
         found = model_of(problem, fit, best, part.linear)
-        return found.model, found.random
+        return PartModel(model=found.model, random=found.random, stated=by_effect(found.model))
     random = random_effects_everywhere(problem, part, best, best.point.noise, known=True)[0] if unmodelled else ()
-    return EffectSet(transferred(part, problem, best.catalogued)), random
+    stated = by_effect(model_of(part, fit, best, part.linear).model)
+    return PartModel(model=EffectSet(transferred(part, problem, best.catalogued)), random=random, stated=stated)
 
 
 def on_the_whole(problem: DiagnosisProblem, members: Sequence[Member], found: Hypothesis) -> NoisePoint:

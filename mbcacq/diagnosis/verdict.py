@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +18,16 @@ from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.next_measurements import SizedEffects, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
+from mbcacq.diagnosis.output.orders import with_orders
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
-from mbcacq.effects.in_words import odds_in_words
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +47,16 @@ class JudgedFit:
     pairs: tuple[tuple[SizedEffects, SizedEffects], ...]
 
 
-def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) -> JudgedFit:
-    """What the evidence says of a fit; the held-out figures of ``validation`` are reported beside it."""
+NOTHING_REPEATED: Repetitions = {}
+
+
+def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, again: Repetitions = NOTHING_REPEATED) -> JudgedFit:
+    """What the evidence says of a fit; the held-out figures of ``validation``, and whether parts of the recording show each effect
+    ``again``, are reported beside it.
+    """
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     fit, contributions = full.evidence, Contributions(full)
-    found = effects_by_contribution(full, contributions, validation)
+    found = effects_by_contribution(full, contributions, validation, again)
     effects, mismatch = averaged_over_sets(full, with_alternatives(full, found)), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     return JudgedFit(
@@ -78,10 +86,11 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     reported = with_significance(fit.effects, setup, full)
     evidence = summarized(setup, full.evidence)
     recordings = between_recordings(full)
-    reported = with_common_values(reported, recordings)
+    reported = with_orders(full, with_spread_between_parts(with_common_values(reported, recordings)))
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
-    if verdict == "explained" and all(e.trend for e in effects):
-        verdict = "cannot_tell"  # a name without a figure explains nothing
+    once = not_found_again(effects) if verdict == "explained" else []
+    if verdict == "explained" and (once or all(e.trend for e in effects)):
+        verdict = "cannot_tell"  # a name without a figure, or one that halves do not both give, explains nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
@@ -102,6 +111,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
             *of_effects(setup, full, fit.effects),
             *([] if too_little is None else [too_little]),
             *undecided_evidence(full),
+            *once,
             *evidence.untried,
         ),
         exclusion_limits=exclusion_limits(full, setup.candidates, there),
@@ -109,6 +119,14 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )
+
+
+def not_found_again(effects: Sequence[EffectFound]) -> list[str]:
+    """A sentence where halves of the recording do not both show what was found."""
+    named = [f"{effect_in_words(e.name)} at {one.at}" for e in effects for one in e.found_again if not one.repeats]
+    if not named:
+        return []
+    return [f"halves of the recording do not both show {', '.join(named)}: the recording is not explained by what one part of it shows"]
 
 
 def undecided_evidence(full: ModelFit) -> list[str]:

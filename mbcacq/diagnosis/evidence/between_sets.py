@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART
 from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, reported_hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import over_sizes
@@ -27,7 +28,6 @@ ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
 TURN = 360.0
 BY = " by "  # between the name of a parameter per kelvin and its temperature
 ORDERS = ".order"  # end of the name of the parameter that tells several effects of one kind at a joint apart
-LEAST_APART = 0.25  # of two orders that are two causes
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
 
 

@@ -19,7 +19,7 @@ from mbcacq.geometry.flange_poses import flange_coordinates
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.columns import flange_group
-from mbcacq.recording.datasets.loose_table import MEASUREMENTS, TableOptions, UnderstoodTable, conventions_of, in_units
+from mbcacq.recording.datasets.loose_table import MEASUREMENTS, TableOptions, UnderstoodTable, conventions_of, directed, in_units
 from mbcacq.recording.datasets.pose_columns import LENGTHS, PoseHeadings, heading
 from mbcacq.spheres.circles import Circle, circles_in
 
@@ -115,6 +115,7 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
     of_pose, rows = (table, sections.rows) if poses is None else (poses, _rows_of(poses, table, columns)[sections.rows])
     if flange is None:
         raise ConfigError(f"{of_pose.path}:1: no columns give the pose of the flange at each profile; name them flange_x_mm, .., flange_qw")
+    flange = directed(flange, options.flange_inverted, of_pose, "flange")
     readings = _tried(of_pose, rows, flange, sections, radius, options)
     best, *others = readings
     close = [o for o in others if o.start.misfit_mm < CLEARLY * max(best.start.misfit_mm, NEVER_MM)]

@@ -47,9 +47,10 @@ class TableOptions:
     """What is said of a table beside its headings; None: by the headings, or by the data.
 
     flange, target: conventions of orientations (makers' names or words of ``mbcacq.geometry.orientations``). length ('mm', 'm') and angle
-    ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. target_inverted: whether the camera's pose in the target
-    stands in place of the target's in the camera. columns: names of this program -> names in the file. robot: of
-    joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere in line profiles.
+    ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. flange_inverted, target_inverted: whether the base's pose in
+    the flange stands in place of the flange's in the base, and the camera's in the target in place of the target's in the camera.
+    columns: names of this program -> names in the file. robot: of joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere
+    in line profiles.
     """
 
     flange: str | None = None
@@ -57,6 +58,7 @@ class TableOptions:
     length: str | None = None
     angle: str | None = None
     measurement: Measurement | None = None
+    flange_inverted: bool | None = None
     target_inverted: bool | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     robot: RobotModel | None = None
@@ -219,6 +221,10 @@ def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
             "target's pose "
             "target_x_mm .. target_qz, of one sphere sphere_x_mm, sphere_y_mm, sphere_z_mm, of several x1_mm, y1_mm, z1_mm, x2_mm .."
         )
+    flange = None if flange is None else directed(flange, options.flange_inverted, table, "flange")
+    if options.target_inverted is not None or (options.measurement and targets[0].inverted is None):
+        targets = (replace(targets[0], inverted=False), *targets[1:])  # said, or tried both ways below
+    targets = (directed(targets[0], None, table, "target"), *targets[1:])
     conventions = [conventions_of(flange, options.flange, "--flange"), conventions_of(targets[0], options.target, "--target")]
     measurements: list[Measurement] = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     # Where the measurement is not known, an inverted target is the same equation as the other measurement: the headings are believed.
@@ -253,6 +259,16 @@ def conventions_of(group: PoseHeadings | None, said: str | None, option: str) ->
         return (group.convention, *group.alternatives)
     found = named_convention(said, option)
     return (found,)
+
+
+def directed(group: PoseHeadings, inverted: bool | None, table: Table, of: str) -> PoseHeadings:
+    """The pose with what was said of its direction, else by its name. Raises ConfigError where the name means either."""
+    if inverted is None and group.inverted is None:
+        raise ConfigError(
+            f"{table.at_headings}: '{group.thing}' is the {of}'s pose to some, and its inverse to OpenCV; say which it is: "
+            f"--{of}-direct or --{of}-inverted of mbcacq data new"
+        )
+    return group if inverted is None else replace(group, inverted=inverted)
 
 
 def in_units(group: PoseHeadings, table: Table, options: TableOptions) -> PoseHeadings:

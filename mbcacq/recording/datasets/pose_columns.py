@@ -28,6 +28,7 @@ TARGET_WORDS = (
     "artefact",
     "cam", "camera", "sensor", "scanner", "sphere", "ball", "tracker", "measured", "eye", "instrument",
 )  # fmt: skip
+CAMERAS, BASES = {"cam", "camera", "sensor", "scanner", "eye", "tracker", "instrument"}, {"base", "world"}  # that a pose is seen from
 FILLERS = {
     "pos",
     "position",
@@ -48,12 +49,15 @@ FILLERS = {
 }
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 TURNING = {"orient", "orientation", "rot", "rotation", "quat", "quaternion", "q"}
+QUATERNION_WORDS = {"quat", "quaternion"}
+PLACE_WORDS = {"t", "trans", "translation"}
 EULERS = {
     ("a", "b", "c"): ("ZYX", "xyz"),  # KUKA first; Mitsubishi writes A, B, C for turns about x, y, z
     ("w", "p", "r"): ("xyz",),
-    ("u", "v", "w"): ("ZYX",),
+    ("u", "v", "w"): ("ZYX", "vector"),
     ("o", "a", "t"): ("ZYZ",),
     ("rx", "ry", "rz"): ("vector", "xyz", "XYZ", "ZYX"),
+    ("qx", "qy", "qz"): ("vector", "xyz", "XYZ", "ZYX"),  # rot_x, rot_y, rot_z without w
     ("roll", "pitch", "yaw"): ("xyz",),
 }  # fmt: skip
 RTDE_POSE = ("0", "1", "2", "3", "4", "5")  # actual_TCP_pose_0 ..
@@ -83,7 +87,8 @@ class PoseHeadings:
     """A pose, or a point where ``rotation`` is empty. thing: whose. translation, rotation: names of the columns; convention: of the
     orientation (``orientations``), '' for a point; alternatives: others that the headings allow. length: mm of a unit; angle: rad of a
     unit;
-    None where headings do not say. closing: names of the last row of a 4 x 4 matrix, () where it is not there."""
+    None where headings do not say. closing: names of the last row of a 4 x 4 matrix, () where it is not there. inverted: whether the pose
+    is of the base in the flange, or of the camera in the target; None where the name says either."""
 
     thing: str
     translation: tuple[str, ...]
@@ -93,6 +98,7 @@ class PoseHeadings:
     length: float | None = None
     angle: float | None = None
     closing: tuple[str, ...] = ()
+    inverted: bool | None = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,14 +149,15 @@ class PoseHeadings:
         exact = self._turns and known.angle == np.pi / 180
         values = table.group(known.rotation, angle=True) if exact else table.group(known.rotation) * (known.angle if self._turns else 1.0)
         try:
-            return se3.transform(orientations.to_matrices(values, self.convention), xyz)
+            T = se3.transform(orientations.to_matrices(values, self.convention), xyz)
+            return se3.inverse(T) if self.inverted else T
         except ValueError as error:
             row = _first_fault(values, self.convention)
             raise ConfigError(f"{table.where(row, self.rotation[0])}: {error}; correct the orientation, or its convention") from None
 
     def coordinates(self, table: Table) -> np.ndarray:
         """(rows, 6) mm and rotation vectors in rad; numbers that are these already come back bit for bit."""
-        if self.convention == "vector" and self.length == self.angle == 1.0:
+        if self.convention == "vector" and self.length == self.angle == 1.0 and not self.inverted:
             return table.group(self.names)
         return flange_coordinates(self.transforms(table))
 
@@ -161,7 +168,8 @@ class PoseHeadings:
         if not self.rotation:
             return text
         turning = f" in {'rad' if self.angle == 1.0 else 'deg'}" if self._turns else ""
-        return f"{text}; {', '.join(self.rotation)}{turning} as {orientations.in_words(self.convention)}"
+        inverted = ", inverted" if self.inverted else ""
+        return f"{text}; {', '.join(self.rotation)}{turning} as {orientations.in_words(self.convention)}{inverted}"
 
 
 def named_convention(word: str, what: str = "the convention") -> str:
@@ -190,10 +198,16 @@ def _taken_apart(name: str) -> Heading:
     words = [*words[:-1], *_apart(words[-1])] if words else [""]
     *before, last = [w.lower() for w in words]
     before = [w for w in before if w]
+    if before and (last in FLANGE_WORDS or last in TARGET_WORDS) and re.fullmatch(r"[tp]?[xyz]|[qr][xyzw]", before[0]):
+        before, last = [*before[1:], last], before[0]  # x_cam
     by_ros = before[:1] == ["field"]  # of a text log of ROS, whose lengths are in m
     if last in ("x", "y", "z", "w") and before and set(before) & TURNING:
         last = ("q" if set(before) & {"quat", "quaternion", "orientation", "orient", "q", "rotation", "rot"} else "r") + last
         before = [w for w in before if w != "q"]
+    if last in ("0", "1", "2", "3") and set(before) & QUATERNION_WORDS:
+        last = f"quat{last}"
+    elif set(before) & PLACE_WORDS:
+        last = _axis_of(last)
     if found := _VECTOR.match("".join(before[-1:]) + last):
         before, last = [w for w in before[:-1] if w != OPENCV], ("v" if found[1] in VECTORS else "") + _axis_of(found[2])
         before = before or [OPENCV]
@@ -245,6 +259,7 @@ def pose_groups(names: Sequence[str]) -> list[PoseHeadings]:
             points.append(PoseHeadings(thing, tuple(p.name for p in xyz), length=_length_of(xyz)))
         turns += [(thing, *turn) for turn in _rotations(parts)]
     found += _with_orientations(points, turns, list(names))
+    found = [replace(group, inverted=_inverted(group.thing)) if group.rotation else group for group in found]
     return sorted(found, key=lambda group: min(list(names).index(n) for n in group.names))
 
 
@@ -307,7 +322,10 @@ def _rotations(parts: dict[str, Heading]) -> list[tuple[tuple[Heading, ...], tup
         for quaternion in (("qw", "qx", "qy", "qz"), ("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3"))
         if not {"q5", "q6"} & set(parts)
     ]
-    known += [(("vx", "vy", "vz"), ("vector",)), *EULERS.items(), (_matrix_components(parts), ("matrix",))]
+    known += [(("quat0", "quat1", "quat2", "quat3"), ("xyzw", "wxyz")), (("vx", "vy", "vz"), ("vector",))]
+    if "qw" in parts:  # robot_rx, robot_ry, robot_rz, robot_rw
+        known.append((("qw", "rx", "ry", "rz"), ("wxyz",)))
+    known += [*EULERS.items(), (_matrix_components(parts), ("matrix",))]
     found, taken = [], set()
     for components, conventions in known:
         if components and all(c in parts and c not in taken for c in components):
@@ -349,9 +367,23 @@ def _of_matrix(thing: str, parts: dict[str, Heading]) -> PoseHeadings | None:
 
 def role(group: PoseHeadings) -> str:
     """'flange', 'target' or '' by the words of the thing; of two, the one named last is what the pose is of (base2gripper, T_cam_board)."""
-    words = re.split(r"[_2]|to", group.thing)
+    words = re.split(r"_to_|[_2]", group.thing)
     known = [("flange" if w in FLANGE_WORDS else "target") for w in words if w in FLANGE_WORDS or w in TARGET_WORDS]
     return known[-1] if known else ""
+
+
+def _inverted(thing: str) -> bool | None:
+    """Whether a pose of two frames, by the order of their names, is of the frame that is usually seen from: flange_T_base, target_T_cam,
+    base_in_flange. None of base2gripper and cam2target: in OpenCV these are inverted, to others they are not."""
+    words = re.split(r"_to_|[_2]", thing)
+    words = words[::-1] if {"in", "wrt"} & set(words) else words
+    seen_from, of = ([i for i, w in enumerate(words) if w in some] for some in (CAMERAS | BASES, {*FLANGE_WORDS, *TARGET_WORDS} - CAMERAS))
+    if not seen_from or not of or {"robot", "arm"} & set(words):
+        return False
+    direct = seen_from[-1] < of[-1]
+    if "2" in thing or "_to_" in thing:
+        return None if direct else False
+    return not direct
 
 
 def _length_by_size(table: Table, names: Sequence[str]) -> float:
