@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import ChangeFound, found_change
+from mbcacq.calibration.change import ChangeEvidence, evidence_of_change, found_change
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.description import misdescribed
 from mbcacq.calibration.published_cell import with_estimates, with_length_uncertainty, with_nominal_arm
 from mbcacq.calibration.recording_faults import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
-from mbcacq.calibration.with_discrepancy import WithDiscrepancy, with_discrepancy
+from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.calibration.with_effects import refitted, refitted_effects
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -120,26 +120,24 @@ def _hand_eye_alone(result: CalibratedCell, fitted: Adjustment) -> CalibratedCel
         refuse_contradiction(found, fit.observations, fit.options)
         said = {"contradiction": found.to_dict(), "warnings": [found.sentence(fit.observations.cell)]}
         result = replace(result, extra={**result.extra, **said})
-    change = _change_beyond_smooth_errors(fitted, lambda: with_discrepancy(fit.observations, fit.options, fitted))
-    result = _with_change(with_nominal_arm(result, fitted.lineariser), change)
+    change, gain = evidence_of_change(fitted), 0.0
+    if change.found is not None:
+        smooth = with_discrepancy(fit.observations, fit.options, fitted)
+        # What depends on posture is no accident: smooth errors of the joints may explain as much.
+        if smooth is not None and change.log_e <= smooth.gain:
+            gain, change = smooth.gain, replace(change, found=found_change(smooth.adjustment))
+    result = _with_change(with_nominal_arm(result, fitted.lineariser), change, gain)
     refuse_unusable(result)
     return result
 
 
-def _change_beyond_smooth_errors(fitted: Adjustment, smooth: Callable[[], WithDiscrepancy | None]) -> ChangeFound | None:
-    """The change that a recording shows, unless smooth errors of the joints explain as much: what depends on posture is no accident."""
-    change = found_change(fitted)
-    if change is None:
-        return None
-    found = smooth()
-    return change if found is None or change.log_e > found.gain else found_change(found.adjustment)
-
-
-def _with_change(result: CalibratedCell, change: ChangeFound | None) -> CalibratedCell:
-    if change is None:
+def _with_change(result: CalibratedCell, change: ChangeEvidence, gain: float = 0.0) -> CalibratedCell:
+    """With the covariance as an average over the changes that are not excluded, and the one that is found said."""
+    covariance = change.averaged(result.covariance, gain)
+    result = replace(result, covariance=covariance, extra={**result.extra, **change.content(gain)})
+    if change.found is None:
         return result
-    said = replace(result, extra={**result.extra, "change": change.to_dict()})
-    return _warned(said, f"Something changed while the recording was made: {change.sentence}", first=True)
+    return _warned(result, f"Something changed while the recording was made: {change.found.sentence}", first=True)
 
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> CalibratedCell:
@@ -148,20 +146,21 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
     result = _collected(options, fitted)
     refuse_unusable(result)
     fault = fault_while_recording(fitted) if options.discrepancy else ""
-    change = found_change(fitted) if options.discrepancy else None
+    change = evidence_of_change(fitted) if options.discrepancy else ChangeEvidence()
+    looked_at = fitted
     # An event that happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
     if options.discrepancy and not options.terms and not fault:
         smooth = _with_discrepancy(obs, options, fitted)
-        if smooth and (change is None or change.log_e <= smooth[0].extra["discrepancy"]["log_evidence_gain"]):
+        if smooth and (change.found is None or change.log_e <= smooth[0].extra["discrepancy"]["log_evidence_gain"]):
             result, fitted = smooth
-            change = found_change(fitted)
-        if change is None and joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:
+            looked_at, change = fitted, evidence_of_change(fitted)
+        if change.found is None and joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:
             result, fitted = _unless_it_loses(obs, options, result, fitted)
     result = _with_joint_noise_check(result, fitted)
     check = result.extra.get("joint_noise_check")
-    if change is not None:
-        return _with_change(result, change)
-    if not fault or (check and check["pose"] is not None):
+    if fitted is looked_at:
+        result = _with_change(result, change)
+    if not fault or change.found is not None or (check and check["pose"] is not None):
         return result
     return _warned(result, f"Something changed while the recording was made: {fault}", first=True)
 
