@@ -212,7 +212,7 @@ def _with_balls_again(at: Solution) -> Solution:
     """With the centres of balls of which many are rejected: a ball that moved by much is rejected from then on."""
     obs, weights = at.lineariser.obs, at.weights
     count, n = (np.bincount(obs.ball, w, minlength=len(obs.cell.ball_ids)) for w in (weights.centre == 0, None))
-    often = count > OPTIONS.rejected_of_ball * np.maximum(n, 1)
+    often = (count > OPTIONS.rejected_of_ball * n) & (n - count >= OPTIONS.least_side)
     if not often.any():
         return at
     return at.reweighted(at.noise, replace(weights, centre=np.where(often[obs.ball], 1.0, weights.centre)))
