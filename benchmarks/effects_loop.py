@@ -1,6 +1,7 @@
 """What a diagnosis finds comes back: into the calibration of a concealed cell, its clouds and predictions, and into steering its arm.
 
     python benchmarks/effects_loop.py loop [--plan plans/kuka-effects.yaml] [--seeds 3] [--protocols] [--write]
+    OMP_NUM_THREADS=1 python benchmarks/effects_loop.py third --write
     python benchmarks/effects_loop.py steered [--drivers simulated,kuka-rsi,kuka-eki] [--out runs/corrected-benchmark]
     OMP_NUM_THREADS=1 python benchmarks/effects_loop.py elsewhere --write
     OMP_NUM_THREADS=1 python benchmarks/effects_loop.py elsewhere --cells 4 --first 100
@@ -20,6 +21,7 @@ import bench
 import numpy as np
 from bench import HERE, PLANS, changed_plan, keeps, option, put, writes
 from effects_loop.elsewhere import cells
+from effects_loop.third import third
 from mbcacq_fakes.cell.build_world import make_world
 from mbcacq_fakes.world.description import from_cell
 from mbcacq_fakes.world.options import parse
@@ -296,6 +298,7 @@ if __name__ == "__main__":
         {
             "loop": (loop, [*LOOP, writes("benchmarks/effects_loop.md")]),
             "elsewhere": (cells, [*COUNT, keeps("elsewhere.jsonl"), writes("benchmarks/elsewhere.md")]),
+            "third": (third, [option("--cells", type=int, default=200), *COUNT[1:], keeps("third.jsonl"), writes("benchmarks/third.md")]),
             "steered": (
                 steered,
                 [

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mbcacq.diagnosis.model_fit import fit_model, fit_part, prepare
+from mbcacq.diagnosis.model_fit import fit_model, fit_part
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load_observations
@@ -26,9 +27,9 @@ def diagnosed(folder: Path) -> None:
     stations = np.unique(obs.station)
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [third]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
-        model, random = fit_part(setup.with_linearization(linear), train, bool(full.random))
+        found = fit_part(setup.with_linearization(linear), train, bool(full.random))
         before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, (), full.noise)
-        after = predictive_score.held_out_score(linear, train, judged, model, random, full.noise)
+        after = predictive_score.held_out_score(linear, train, judged, found.model, found.random, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 

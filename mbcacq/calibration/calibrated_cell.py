@@ -70,6 +70,8 @@ class CalibratedCell(CellEstimate):
         What else result.json holds, such as warnings. All of its content, where the cell was read from it.
     own_fit : ObservationFit or None
         The observations that it was calibrated from; None where it was read from result.json. See ``fit``.
+    own_adjustment : Adjustment or None
+        What it was made of, while it is being calibrated; None of what is published. See ``adjustment``.
     calibrate_again : callable or None
         Calibrates observations under options with a model of effects, as this cell was calibrated.
     """
@@ -83,6 +85,7 @@ class CalibratedCell(CellEstimate):
     simulated: bool = False
     extra: Mapping[str, Any] = field(default_factory=dict)
     own_fit: ObservationFit | None = None
+    own_adjustment: Adjustment | None = None
     calibrate_again: Callable[..., CalibratedCell] | None = None
 
     @classmethod
@@ -220,6 +223,12 @@ class CalibratedCell(CellEstimate):
         if self.own_fit is None:
             raise ConfigError("this calibrated cell was read from its result, which holds no observations; calibrate the recording again")
         return self.own_fit
+
+    @property
+    def adjustment(self) -> Adjustment:
+        """The converged adjustment behind it, with its linear problem."""
+        assert self.own_adjustment is not None, "asked while it is being calibrated"
+        return self.own_adjustment
 
     @property
     def errors(self) -> np.ndarray:

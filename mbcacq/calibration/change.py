@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -160,20 +159,11 @@ class ChangeEvidence:
     found: ChangeFound | None = None
     second_moment: np.ndarray | None = None
 
-    def probability(self, gain: float = 0.0) -> float:
-        """That something changed. gain: log evidence of what else explains the recording, above that of noise alone."""
-        odds = np.exp(min(self.log_e - max(gain, 0.0), 500.0)) * OPTIONS.prior / (1 - OPTIONS.prior)
+    @property
+    def probability(self) -> float:
+        """Posterior probability that something changed."""
+        odds = np.exp(min(self.log_e, 500.0)) * OPTIONS.prior / (1 - OPTIONS.prior)
         return float(odds / (1 + odds))
-
-    def averaged(self, covariance: np.ndarray, gain: float = 0.0) -> np.ndarray:
-        """A covariance (g, g) without a change, as the average over all that may have changed. gain: as ``probability`` has it."""
-        return covariance if self.second_moment is None else covariance + self.probability(gain) * self.second_moment
-
-    def content(self, gain: float = 0.0) -> dict[str, Any]:
-        """What a result says of it: 'change', and 'change_probability' where it is worth saying."""
-        chance = self.probability(gain)
-        said: dict[str, Any] = {"change_probability": chance} if chance > OPTIONS.worth_saying else {}
-        return said if self.found is None else {**said, "change": self.found.to_dict()}
 
 
 def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:

@@ -14,14 +14,18 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import about_best_station, gross, held_out_masks, prediction_error, rms
+from mbcacq.calibration.published_cell import cell_of, warned, with_nominal_arm
+from mbcacq.calibration.recording_faults import InfluenceOptions, joint_factor
+from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.adjustment import Adjustment, thin
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording, thin, with_random_links
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
 
+WEIGHTED = "the weighted adjustment"  # what is published unless another predicts better
 BLOCKS = 5
 LEAST_BLOCKS = 3  # fewer say nothing of their scatter
 POSES = 250  # that compete of a longer recording: a block of 50 poses tells 10 % of an rms
@@ -70,6 +74,41 @@ class HeldOutComparison(AsJson):
             f"({self.pooled(self.chosen):.3f} mm rms against {self.pooled(own):.3f} mm by {own}{robust}, better in {better} of "
             f"{len(self.rms_mm[own])} blocks) and is what this result holds"
         )
+
+
+def best_on_held_out(cell: CalibratedCell) -> CalibratedCell:
+    """The calibration, or where its joints' noise is beyond the data sheet the competing one that predicts held-out poses better.
+
+    Parameters
+    ----------
+    cell : CalibratedCell
+        With its adjustment, and with smooth errors of the joints where the evidence asks for them.
+    """
+    obs, asked = cell.fit.observations, cell.fit.options
+    if joint_factor(cell.adjustment.noise, obs.cell) <= InfluenceOptions.noise_factor:
+        return cell
+    lenient = replace(asked, refuse=False)
+    shared: dict[int, tuple[Observations, Adjustment]] = {}  # by identity, with what it is of: what is held here keeps its identity
+
+    def linked(some: Observations) -> Adjustment:
+        if id(some) not in shared:  # three of the methods begin with it
+            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient, links_follow=True))
+        return shared[id(some)][1]
+
+    fits: dict[str, Callable[[Observations], CalibratedCell]] = {
+        WEIGHTED: lambda some: with_discrepancy(linked(some)) or cell_of(linked(some)),
+        "the adjustment without smooth errors": lambda some: cell_of(linked(some)),
+        "plain least squares": lambda some: cell_of(plain_least_squares(linked(some))),
+        "the nominal arm": lambda some: with_nominal_arm(cell_of(adjust_recording(some, replace(lenient, kinematics=False)))),
+    }
+    found = compared_on_held_out(obs, WEIGHTED, fits)
+    if found is None:
+        return cell
+    if found.chosen != WEIGHTED:
+        cell = fits[found.chosen](obs)
+        fit = replace(cell.fit, options=replace(cell.fit.options, refuse=asked.refuse))
+        cell = warned(replace(cell, own_fit=fit), found.sentence(WEIGHTED))
+    return replace(cell, extra={**cell.extra, "competing_methods": found.to_dict()})
 
 
 def compared_on_held_out(

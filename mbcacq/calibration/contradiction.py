@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.description import misdescribed
 from mbcacq.calibration.description_hypotheses import exchanged_balls
+from mbcacq.calibration.published_cell import warned
 from mbcacq.calibration.recording_faults import beyond_noise, fault_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution, system
@@ -26,7 +27,6 @@ from mbcacq.estimation.solver import solve
 from mbcacq.estimation.variance_components import first_noise, reml_score_and_information
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
-from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,17 +96,26 @@ def _joint_limit(cell: Cell) -> float:
     return OPTIONS.joint * absolute * _doubt(cell.robot.repeatability_mm)
 
 
-def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contradiction | None:
-    """The contradiction of a recording with a nominal arm; None where it is credible.
+def with_contradiction(cell: CalibratedCell) -> CalibratedCell:
+    """The cell, with a warning where its recording contradicts its description.
 
-    Parameters
-    ----------
-    adjustment : Adjustment
-        Adjustment of hand-eye and stations, with the links' errors as random effects.
-    options : CalibrationOptions
-        It was made with.
+    Raises CalibrationError where no result could be of use, if the options refuse anything. Poses of the flange may be off by more than an
+    arm repeats, unless a wrong description of them is the cause.
     """
-    lineariser = at_allowed_sizes(adjustment.lineariser, options)
+    found, of = contradiction(cell.adjustment), cell.fit.observations.cell
+    if found is None:
+        return cell
+    absolute = of.robot.of_flange_poses and not found.misdescribed
+    joint = found.joint / (OPTIONS.absolute if absolute else 1.0)
+    if cell.fit.options.refuse and max(found.scanner, joint) > OPTIONS.refused:
+        raise CalibrationError(found.sentence(of))
+    return warned(cell, found.sentence(of), contradiction=found.to_dict())
+
+
+def contradiction(adjustment: Adjustment) -> Contradiction | None:
+    """The contradiction of a recording with a nominal arm; None where it is credible. adjustment: of hand-eye and stations, with the links'
+    errors as random effects."""
+    lineariser = at_allowed_sizes(adjustment.lineariser)
     noise = first_noise(lineariser.obs.cell)
     solution = solve(system(lineariser, adjustment.solution.estimate, noise, adjustment.weights), tolerance=1e-2)
     scanner, joint = noise_ratios(solution)
@@ -118,17 +127,6 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
         return replace(found, cause=described or fault_of(strict), misdescribed=bool(described))
     fault = fault_of(strict, known=rejected_poses(adjustment))
     return replace(found, cause=fault) if fault else None
-
-
-def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
-    """Chi square per degree of freedom under the noise that scanner and data sheet state; None where one of them states none.
-
-    The noise that a calibration estimates makes its own chi square 1, whatever is wrong.
-    """
-    cell = adjustment.lineariser.obs.cell
-    if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
-        return None
-    return adjustment.stated_chi2 / dof
 
 
 def every_pose(weights: Weights) -> Weights:
@@ -153,20 +151,9 @@ def rejected_poses(adjustment: Adjustment) -> list[int]:
     return adjustment.lineariser.obs.pose_id[adjustment.weights.pose == 0].tolist()
 
 
-def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:
-    """Raise CalibrationError where no result could be of use, if the options refuse anything.
-
-    Poses of the flange may be off by more than an arm repeats, unless a wrong description of them is the cause.
-    """
-    absolute = obs.cell.robot.of_flange_poses and not found.misdescribed
-    joint = found.joint / (OPTIONS.absolute if absolute else 1.0)
-    if options.refuse and max(found.scanner, joint) > OPTIONS.refused:
-        raise CalibrationError(found.sentence(obs.cell))
-
-
-def at_allowed_sizes(lineariser: Lineariser, options: CalibrationOptions) -> Lineariser:
+def at_allowed_sizes(lineariser: Lineariser) -> Lineariser:
     """The lineariser with link errors of the allowed size in place of the estimated one."""
-    layout = parameters.build(lineariser.obs, options)
+    layout = parameters.build(lineariser.obs, lineariser.options)
     for name, why in lineariser.layout.held.items():
         if name not in layout.held:
             layout = layout.hold(name, why)

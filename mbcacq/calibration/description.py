@@ -9,13 +9,14 @@ affine instead of rigid T_e and T_s the equations are linear: that is the start;
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.calibration.description_hypotheses import Misreading, exchanged_balls, hypotheses, other_arms
-from mbcacq.errors import CalibrationError
+from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -71,10 +72,16 @@ def misdescribed(obs: Observations) -> str:
     return f"{arm}; name that arm" if arm else ""
 
 
-def with_likely_cause(error: CalibrationError, observations: Observations) -> CalibrationError:
-    """The error with the simple change of the description that removes most of the misfit, where there is one."""
-    found = wrong_descriptions(observations)
-    return CalibrationError(f"{error}; {'; '.join(map(str, found))}") if found else error
+@contextmanager
+def likely_cause_named(observations: Observations) -> Iterator[None]:
+    """Where the recording contradicts its cell in the context, the error names the simple change of the description that removes most of
+    the misfit, if there is one.
+    """
+    try:
+        yield
+    except ContradictionError as error:
+        found = misdescribed(observations)
+        raise (CalibrationError(f"{error}; {found}") if found else error) from None
 
 
 def wrong_descriptions(observations: Observations) -> tuple[DescriptionFinding, ...]:
@@ -94,8 +101,8 @@ def _best(observations: Observations, among: Iterable[Misreading], most: float) 
     """The change that fits best, where it leaves at most a share ``most`` of the misfit; all are screened, the best are fitted."""
     few = subset(observations)
     before = residual_mm(few)
-    screened = sorted(((_score(few, h, True), i, h) for i, h in enumerate(among)), key=lambda s: s[:2])
-    scored = sorted(((_score(few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
+    screened = sorted(((_score(observations, few, h, True), i, h) for i, h in enumerate(among)), key=lambda s: s[:2])
+    scored = sorted(((_score(observations, few, h, False), i, h) for _, i, h in screened[:SCREENED]), key=lambda s: s[:2])
     near = [(score, h) for score, _, h in scored if score < min(most * before, SAME * scored[0][0])]
     if not near:
         return None
@@ -104,10 +111,11 @@ def _best(observations: Observations, among: Iterable[Misreading], most: float) 
     return DescriptionFinding(best, before, score, tuple(h.what for _, h in near[1:]))
 
 
-def _score(observations: Observations, hypothesis: Misreading, screening: bool) -> float:
-    """Infinite where the change leaves nothing that can be fitted."""
+def _score(observations: Observations, few: Observations, hypothesis: Misreading, screening: bool) -> float:
+    """Infinite where the change leaves nothing that can be fitted. few: the subset that is fitted; rows are moved before it is taken."""
     try:
-        return residual_mm(hypothesis.change(observations), screening)
+        changed = subset(hypothesis.change(observations)) if hypothesis.kind == "rows" else hypothesis.change(few)
+        return residual_mm(changed, screening)
     except (ValueError, np.linalg.LinAlgError):
         return float("inf")
 

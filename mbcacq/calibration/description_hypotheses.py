@@ -29,6 +29,8 @@ QUARTER = np.pi / 2
 LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
+MOST_SHIFTED = 5  # rows by which measurements may belong to another pose
+LEAST_SHIFTED = 8  # poses that have a partner after a shift of the rows: fewer fit anything
 LENGTHS = ("metres", 1e3), ("centimetres", 10.0), ("inches", INCH_MM)
 NEAR_BALLS = 5.0  # times noise and uncertainty of the certificate: how well distances between balls must agree
 MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
@@ -60,6 +62,8 @@ def hypotheses(o: Observations) -> Iterator[Misreading]:
 def other_arms(o: Observations) -> Iterator[Misreading]:
     """The links of each arm of the tool's own with as many axes, in place of those of the arm that is named."""
     named = o.cell.robot
+    if named.of_flange_poses:
+        return
     for robot in map(shipped.robot, shipped.robots()):
         if robot.n == named.n and robot.name != named.name:
             what = f"the links of {robot.name} in place of {named.name}"
@@ -188,9 +192,12 @@ def _frames(o: Observations) -> Iterator[Misreading]:
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:
-    for shift in (1, -1):
-        word = "next" if shift == 1 else "previous"
-        yield Misreading(f"each measurement belonging to the {word} pose", "rows", lambda o, s=shift: _shifted(o, s))
+    for shift in (s for rows in range(1, MOST_SHIFTED + 1) for s in (rows, -rows)):
+        if o.n_poses - abs(shift) >= LEAST_SHIFTED:
+            further = f"pose {abs(shift)} rows {'on' if shift > 0 else 'back'}"
+            pose = {1: "next pose", -1: "previous pose"}.get(shift, further)
+            yield Misreading(f"each measurement belonging to the {pose}", "rows", lambda o, s=shift: _shifted(o, s))
+    yield Misreading("the rows of the measurements in reverse order", "rows", lambda o: replace(o, q=o.q[::-1]))
 
 
 def _angles(o: Observations, matrix: np.ndarray) -> Observations:
@@ -249,9 +256,10 @@ def _in_degrees(T: np.ndarray, read: str) -> np.ndarray:
 
 
 def _shifted(o: Observations, shift: int) -> Observations:
-    """The angles of the next or previous pose for each measurement; the pose at the end keeps its own."""
-    at = np.clip(np.arange(o.n_poses) + shift, 0, o.n_poses - 1)
-    return replace(o, q=o.q[at])
+    """The angles of a pose some rows on or back for each measurement; poses at the end that have no partner are left out."""
+    at = np.arange(o.n_poses) + shift
+    inside = (at >= 0) & (at < o.n_poses)
+    return replace(o, q=o.q[np.clip(at, 0, o.n_poses - 1)]).select(inside)
 
 
 def _rotation(o: Observations) -> np.ndarray:

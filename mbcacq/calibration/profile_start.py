@@ -21,6 +21,8 @@ CLEARLY = 3.0  # times the misfit of the best transform, below which another is 
 NEVER_MM = 0.02  # misfits below are noise
 EQUATOR = 0.02  # |s_y| over the radius, below which a profile says nothing of s_y
 STARTS, FINISHES = 60, 20  # rounds of the search for a start, and of its improvement
+ROUNDS = 15  # of the adjustment of the radius
+MEDIAN_OF_THREE = 1.538  # of the length of three normal numbers
 SOFT_MM = 0.1  # misfit from which a profile counts less
 APART_MM, APART_RAD = 1.0, 0.02  # two transforms nearer than that are the same
 
@@ -61,6 +63,33 @@ def find_start(hand: np.ndarray, circles: Sequence[Circle], radius: float, start
     off, s = whole.missed(X[None], c[None])
     misfit = float(np.sqrt(np.median(np.sum(off[0] ** 2, axis=1))))
     return ProfileStart(X, c, misfit, min(others, default=np.inf), s[0])
+
+
+def radius_by_profiles(hand: np.ndarray, circles: Sequence[Circle], radius: float, start: ProfileStart) -> tuple[float, float]:
+    """The radius that the profiles alone say, mm, and its standard uncertainty: hand-eye, sphere and radius adjusted together, each circle
+    weighted by its own covariance, robustly. Infinite uncertainty where they do not say it."""
+    middle, size = np.array([c.centre for c in circles]), np.array([c.radius for c in circles])
+    root = np.linalg.inv(np.linalg.cholesky(np.array([c.cofactor for c in circles])))
+    T, c, R = start.T_hand_eye[None], start.sphere[None], radius
+    whole, size_of, scale = np.eye(10), np.ones(10), 1.0
+    for _ in range(ROUNDS):
+        section = _Section(hand, middle, size, R)
+        off, s = section.missed(T, c)
+        J = np.zeros((len(hand), 3, 10))
+        J[:, :, :9], J[:, 2, 9] = section.jacobian(T, s)[0], -R / size
+        r, J = (root @ off[0][..., None])[..., 0], root @ J
+        distance = np.linalg.norm(r, axis=1)
+        scale = max(float(np.median(distance)) / MEDIAN_OF_THREE, 1e-12)
+        weight = 1 / np.maximum(distance / (2 * scale), 1.0)
+        normal = np.einsum("pia,p,pib->ab", J, weight, J)
+        size_of = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        whole = normal / np.outer(size_of, size_of)
+        step = -np.linalg.lstsq(whole, np.einsum("pia,p,pi->a", J, weight, r) / size_of, rcond=1e-12)[0] / size_of
+        T = se3.transform(T[:, :3, :3] @ se3.rotation_exp(step[None, 3:6]), T[:, :3, 3] + step[:3])
+        c, R = c + step[6:9], R + float(np.clip(step[9], -0.1 * radius, 0.1 * radius))
+    if not np.isfinite(whole).all() or np.linalg.cond(whole) > 1e12:
+        return R, np.inf
+    return R, float(scale * np.sqrt(np.linalg.inv(whole)[9, 9]) / size_of[9])
 
 
 def measured_centres(start: ProfileStart, circles: Sequence[Circle], radius: float, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:

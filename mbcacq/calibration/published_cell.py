@@ -1,4 +1,4 @@
-"""What is published of an adjusted cell: the nominal arm, a scale from one known length, effects with their estimates.
+"""What is published of an adjusted cell: its notes, the nominal arm, a scale from one known length, effects with their estimates.
 
 Two kinds of cells have a larger covariance than their adjustment. The nominal arm has link errors that are uncertain and are not applied:
 who asked for the hand-eye alone goes on with the nominal arm, so every uncertainty is the second moment of the error about it. A scale from
@@ -8,27 +8,83 @@ second adjustment with all lengths a little larger.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import parameters
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.options import CalibrationOptions, Noise, copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
+from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
+LEAST_STEP = 1e-5  # of a scale, relative; below, rounding would show
+TWIST = tuple(f"hand_eye.{c}" for c in HAND_EYE)
 
-def with_nominal_arm(result: CalibratedCell, lineariser: Lineariser) -> CalibratedCell:
+
+def cell_of(adjustment: Adjustment) -> CalibratedCell:
+    """The calibrated cell of an adjustment, which it holds.
+
+    'stated_chi2_dof' of ``extra`` is chi square per degree of freedom under the noise that scanner and data sheet state, where both state
+    one: the noise that a calibration estimates makes its own chi square 1, whatever is wrong.
+    """
+    found, cell = adjusted_cell(adjustment.lineariser.options, adjustment), adjustment.lineariser.obs.cell
+    stated = cell.noise_mm is not None and cell.robot.repeatability_mm and found.fit.dof > 0
+    extra = {"stated_chi2_dof": adjustment.stated_chi2 / found.fit.dof} if stated else {}
+    return replace(found, own_adjustment=adjustment, extra={**found.extra, **extra})
+
+
+def warned(cell: CalibratedCell, sentence: str, first: bool = False, **further: Any) -> CalibratedCell:
+    """The cell with one more warning, and further values of ``extra``."""
+    before = cell.extra.get("warnings", ())
+    return replace(cell, extra={**cell.extra, **further, "warnings": [sentence, *before] if first else [*before, sentence]})
+
+
+def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> CalibratedCell:
+    """The cell with a covariance that counts changes while it was recorded, found or not, each by its probability.
+
+    The second moment of the error about what is published, C + p M with M that of the error where something changed (Bayesian model
+    averaging). 'change_probability' of ``extra`` is p, where it is worth saying.
+    """
+    if change.second_moment is None:
+        return cell
+    said = {"change_probability": change.probability} if change.probability > OPTIONS.worth_saying else {}
+    covariance = cell.covariance + change.probability * change.second_moment
+    return replace(cell, covariance=covariance, extra={**cell.extra, **said})
+
+
+def with_accident(cell: CalibratedCell, accident: ChangeFound | str | None) -> CalibratedCell:
+    """The cell with a warning of what happened while it was recorded; as it is where nothing did."""
+    if not accident:
+        return cell
+    sentence, further = (accident, {}) if isinstance(accident, str) else (accident.sentence, {"change": accident.to_dict()})
+    return warned(cell, f"Something changed while the recording was made: {sentence}", first=True, **further)
+
+
+def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> CalibratedCell:
+    """The cell with warnings of poses that are copies of others, and of joint angles that were rounded."""
+    twice = observations.pose_id[copies(observations)]
+    if len(twice):
+        some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
+        said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
+        cell = warned(cell, said)
+    step = cell.fit.observations.cell.joint_step
+    return warned(cell, rounding_sentence(step)) if step else cell
+
+
+def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
     """The result with the nominal arm in place of its most probable one.
 
     The covariance C of the parameters' errors about their estimate becomes C + u u' with u the estimated link errors that are left out: the
@@ -38,10 +94,9 @@ def with_nominal_arm(result: CalibratedCell, lineariser: Lineariser) -> Calibrat
     Parameters
     ----------
     result : CalibratedCell
-        With link errors as random effects (``CalibrationOptions(kinematics=False)``).
-    lineariser : Lineariser
-        Lineariser of the same recording and layout.
+        With link errors as random effects (``CalibrationOptions(kinematics=False)``), and with its adjustment.
     """
+    lineariser = result.adjustment.lineariser
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
@@ -79,25 +134,19 @@ def with_estimates(model: EffectModel, fitted: CalibratedCell) -> EffectModel:
     return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
-LEAST_STEP = 1e-5  # relative; below, rounding would show
-TWIST = ("x", "y", "z", "rx", "ry", "rz")
-
-
-def with_length_uncertainty(result: CalibratedCell, refitted: Callable[[Observations], CellState]) -> CalibratedCell:
-    """The result with the covariances of the hand-eye transform and the stations enlarged; as it is without a known length.
-
-    refitted: the state of the cell from observations, under the same options.
-    """
+def with_length_uncertainty(result: CalibratedCell) -> CalibratedCell:
+    """The result with the covariances of the hand-eye transform and the stations enlarged; as it is without a known length."""
     obs = result.fit.observations
     sigma = known_length_sigma(obs)
     if sigma is None:
         return result
     step = max(sigma, LEAST_STEP)
     artefacts = tuple(a if a.certified else replace(a, centres=(1 + step) * a.centres) for a in obs.cell.artefacts)
-    larger = refitted(replace(obs, xyz=(1 + step) * obs.xyz, cell=replace(obs.cell, artefacts=artefacts)))
+    scaled = replace(obs, xyz=(1 + step) * obs.xyz, cell=replace(obs.cell, artefacts=artefacts))
+    larger = adjust_recording(scaled, replace(result.fit.options, refuse=False)).state
     by_scale = np.zeros(len(result.names))
     twist = _twist(result.state.T_flange_scanner, larger.T_flange_scanner) * sigma / step
-    for name, value in zip((f"hand_eye.{part}" for part in TWIST), twist, strict=True):
+    for name, value in zip(TWIST, twist, strict=True):
         if name in result.names:
             by_scale[result.names.index(name)] = value
     stations = result.fit.station_covariance.copy()

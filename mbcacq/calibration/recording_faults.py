@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.change import in_words, kinds_of_change
+from mbcacq.calibration.published_cell import warned
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import chi2_quantile
 from mbcacq.estimation.solution import Solution
@@ -170,6 +172,12 @@ def deletions(solution: Solution, which: np.ndarray) -> Deletion:
 def joint_factor(noise: Noise, cell: Cell) -> float:
     """The joints' noise in units of what the arm's data sheet, or its class, allows; the median over the joints."""
     return float(np.median(noise.joint / first_noise(cell).joint))
+
+
+def with_joint_noise_check(cell: CalibratedCell) -> CalibratedCell:
+    """The cell, with a warning where the estimated joint noise is far beyond the arm's data sheet."""
+    found = joint_noise_check(cell.adjustment.solution, cell.adjustment.noise, cell.covariance)
+    return cell if found is None else warned(cell, joint_noise_sentence(found), joint_noise_check=found)
 
 
 def joint_noise_check(

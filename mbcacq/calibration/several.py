@@ -17,7 +17,7 @@ from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import ON_THE_ARM
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import learnt_ranges
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linearization import Lineariser
@@ -103,7 +103,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCel
     fitted = adjust(obs, options, links_follow=options.kinematics)
     fitted = with_random_links(fitted) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)
-    return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
+    return result if options.kinematics or not options.discrepancy else with_nominal_arm(replace(result, own_adjustment=fitted))
 
 
 def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:

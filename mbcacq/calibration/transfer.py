@@ -117,6 +117,11 @@ class Transfer(AsJson):
         other figures are of every centre: what is tested does not choose by what.
     robust_centres : int
         The number of centres that are not gross.
+    inside, outside : TransferFigures or None
+        ``with_effects`` of the centres at which every covariate of the effects is as it was where they were learnt, and of the others;
+        None where all centres are one of both.
+    inside_centres : int
+        The number of the former.
     """
 
     place: str
@@ -132,6 +137,9 @@ class Transfer(AsJson):
     parts_left_out: PartsLeftOut | None = None
     robust: TransferFigures | None = None
     robust_centres: int = 0
+    inside: TransferFigures | None = None
+    outside: TransferFigures | None = None
+    inside_centres: int = 0
 
     @property
     def text(self) -> str:
@@ -145,6 +153,11 @@ class Transfer(AsJson):
         if self.robust:
             out.append(
                 f"  robust {micrometres(self.robust.rms_mm)} over {self.robust_centres} of {self.centres} centres, with what was learnt"
+            )
+        if self.inside and self.outside:
+            out.append(
+                f"  where the effects were learnt {micrometres(self.inside.rms_mm)} ({self.inside_centres} centres), beyond that range "
+                f"{micrometres(self.outside.rms_mm)} ({self.centres - self.inside_centres} centres)"
             )
         if left := self.parts_left_out:
             out.append(
@@ -205,6 +218,8 @@ def check_transfer(
         without = tried.figures(tried.fit(cell.state.chain, rest), every).rms_mm
         gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
     departures = model.departures(observations)
+    inside = model.inside(observations)
+    both = inside.any() and not inside.all()
     return Transfer(
         place=place,
         poses=observations.n_poses,
@@ -219,6 +234,9 @@ def check_transfer(
         parts_left_out=tried.parts_left_out(best, model, used),
         robust=None if kept.all() else tried.figures(best, kept),
         robust_centres=int(kept.sum()),
+        inside=tried.figures(best, inside) if both else None,
+        outside=tried.figures(best, ~inside) if both else None,
+        inside_centres=int(inside.sum()),
     )
 
 
@@ -283,12 +301,14 @@ class _Trial:
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
     def figures(self, fitted: CalibratedCell, used: np.ndarray) -> TransferFigures:
-        """The figures of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
+        """The figures of the centres used (M,), which have their share of the degrees of freedom that the fit has lost. With known places
+        nothing was fitted.
+        """
         fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
         weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
-        return _figures(CentreResiduals(fit.residual[used, :3], whitened), rank)
+        return _figures(CentreResiduals(fit.residual[used, :3], whitened), round(rank * float(used.mean())))
 
     def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
         """The figures of parts predicted by the others; None with known places, which are not fitted."""

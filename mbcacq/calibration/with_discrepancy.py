@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.published_cell import cell_of, with_estimates
 from mbcacq.calibration.recording_faults import joint_factor
 from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects import discrepancy
@@ -23,10 +26,9 @@ from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
-from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.options import Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior, pack
-from mbcacq.model.observations import Observations
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)
 LEAST_GAIN = 5.0  # log evidence over geometry alone: odds of 150 to 1 for all groups together
@@ -43,44 +45,22 @@ CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from 
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
-@dataclass(frozen=True)
-class WithDiscrepancy:
-    """An adjustment with smooth errors.
-
-    Attributes
-    ----------
-    model : EffectModel
-        The groups of the arm that are left.
-    gain : float
-        Log evidence over geometry alone, of the poses by which the groups were sized.
-    wander_rad : ndarray or None
-        (n,) rms of each joint's error that poses after one another share, None where they are independent.
-    """
-
-    adjustment: Adjustment
-    options: CalibrationOptions
-    model: EffectModel
-    gain: float
-    wander_rad: np.ndarray | None
-
-
-def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> WithDiscrepancy | None:
-    """The recording adjusted with smooth errors of the joints.
+def with_discrepancy(alone: Adjustment) -> CalibratedCell | None:
+    """The recording calibrated with smooth errors of the joints.
 
     Parameters
     ----------
-    obs : Observations
-        The poses to be fitted.
-    options : CalibrationOptions
-        As for geometry alone; its terms stay.
     alone : Adjustment
-        The same recording by geometry alone.
+        The recording by geometry alone; terms of its options stay.
 
     Returns
     -------
-    WithDiscrepancy or None
-        None where geometry alone is as probable.
+    CalibratedCell or None
+        With its adjustment; its effects are the groups of the arm that are left. 'discrepancy' of ``extra`` has the log evidence over
+        geometry alone, of the poses by which the groups were sized, and the (n,) rms (rad) of each joint's error that poses after one
+        another share, unless they are independent. None where geometry alone is as probable.
     """
+    obs, options = alone.lineariser.obs, alone.lineariser.options
     here = Covariates(obs)
     prior = noise_prior(obs.cell, options.noise)
     nothing = _Groups(_some_of(alone), prior, (), (), alone.noise)
@@ -96,11 +76,20 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     learnt = LearntRecording.of(obs)
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
-    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True))
+    cell = cell_of(with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True)))
     # Errors that the order of the poses explains belong to this recording. They are in the uncertainties, and say nothing of other poses.
     of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
     model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
-    return WithDiscrepancy(final, chosen, model, best.evidence - nothing.evidence, wander_of(best.terms, here.n))
+    said: dict[str, Any] = {"log_evidence_gain": best.evidence - nothing.evidence}
+    if (wander := wander_of(best.terms, here.n)) is not None:
+        said["wander_rad"] = wander.tolist()
+    effects, asked = with_estimates(model, cell) if model else None, replace(cell.fit, options=options)
+    return replace(cell, effects=effects, own_fit=asked, extra={**cell.extra, "discrepancy": said})
+
+
+def evidence_gain(cell: CalibratedCell) -> float:
+    """Log evidence of a cell with smooth errors over geometry alone."""
+    return cell.extra["discrepancy"]["log_evidence_gain"]
 
 
 def _some_of(alone: Adjustment) -> LinearProblem:

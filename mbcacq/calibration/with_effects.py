@@ -91,7 +91,7 @@ def _fitted(obs: Observations, options: CalibrationOptions, model: EffectModel, 
     beside them."""
     options = replace(options, discrepancy=False)
     held = model if hold else model.select(lambda t: t.held)
-    free = model.select(lambda t: not (hold or t.held))
+    free = model.select(lambda t: not (hold or t.held)).learnt_at(obs)
     options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
     fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
     return replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ()))))

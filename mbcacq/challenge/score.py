@@ -171,6 +171,8 @@ def _orders(truth: dict[str, Any], reported: dict[str, dict[str, Any]]) -> dict[
     """Amplitude and phase of the reported order that is nearest to each injected one."""
     out = {}
     joint = truth["where"][0]
+    if f"{joint}.order" not in reported:
+        return {}  # stated as not determined
     columns = {name: np.atleast_1d(reported[f"{joint}.{name}"]["value"]).astype(float) for name in ("order", "amplitude_deg", "phase_deg")}
     std = {name: np.atleast_1d(reported[f"{joint}.{name}"]["std"]).astype(float) for name in ("amplitude_deg", "phase_deg")}
     for order, amplitude, phase in zip(truth["order"], truth["amplitude_deg"], truth["phase_deg"], strict=True):

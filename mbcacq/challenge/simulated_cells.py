@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.devices import load_driver
+from mbcacq.effects.support import with_drives_for
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 
@@ -48,7 +49,7 @@ def observe(
         direction=recorded.direction.astype(int),
         temperatures={"air_C": recorded.air_C, "robot_C": recorded.robot_C},
     )
-    return without(observations, scenario.missing), recorded.truth
+    return described(without(observations, scenario.missing), recorded.truth), recorded.truth
 
 
 def run(
@@ -69,7 +70,15 @@ def run(
             loaded=loaded, poses=poses, paths=path(loaded, poses), path_home=path_home(loaded, poses[-1]), folder=folder, simulated=True
         ).execute(cell.overrides())
         truth = cell.truth()
-    return without(load_observations(folder), scenario.missing), truth
+    return described(without(load_observations(folder), scenario.missing), truth), truth
+
+
+def described(observations: Observations, truth: Mapping[str, Any]) -> Observations:
+    """The recording with the drives stated by which its joints can have the injected effects: a cell is made with what it has."""
+    robot = observations.cell.robot
+    for effect in truth["effects"]:
+        robot = with_drives_for(robot, effect["name"], tuple(effect.get("where", ())))
+    return replace(observations, cell=replace(observations.cell, robot=robot))
 
 
 def without(observations: Observations, missing: Sequence[str]) -> Observations:

@@ -39,7 +39,16 @@ _TABLE_OPTIONS = (
     click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size]."),
     click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
     click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner is fixed, the target on the flange."),
-    click.option("--target-inverted", is_flag=True, help="The target's columns are the pose of the camera as the target sees it."),
+    click.option(
+        "--flange-inverted/--flange-direct",
+        default=None,
+        help="Whether the flange's columns are the pose of the base as the flange sees it, or of the flange in the base.",
+    ),
+    click.option(
+        "--target-inverted/--target-direct",
+        default=None,
+        help="Whether the target's columns are the pose of the camera as the target sees it, or of the target as the camera sees it.",
+    ),
     click.option(
         "--column", "columns", multiple=True, metavar="OURS=FILE", help="What the file calls a column, e.g. time_s=Time (repeatable)."
     ),

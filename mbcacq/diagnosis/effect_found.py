@@ -15,6 +15,7 @@ from mbcacq.quantities import K
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 UNCERTAIN = "no figure is beyond its expanded uncertainty (k = 2)"
 REMOVES_NOTHING = "held-out data are predicted as well without it"
+NOT_FOUND_AGAIN = "the same search does not find it in both halves of the recording"
 NOTHING = 0.0005  # a share that is written as 0.0 %
 
 
@@ -32,6 +33,7 @@ def trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[float 
 
 
 OF_POSES = ("p_local", "p_corrected", "log_bayes_factor", "equivalent", "held_out_gain_std")  # keys of an effect of poses alone
+WHERE_KNOWN = ("orders", "found_again")  # of these, keys that are left out where they are empty
 OF_MOTION = ("channel", "held_out_gain_here", "steps", "notes", "shape")  # keys of an effect of a motion alone
 OF_MODELS = ("held_out_gain_here", "steps", "notes", "trend")  # of these, keys that an unmodelled effect of a motion does not have
 
@@ -84,6 +86,60 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class PossibleOrder:
+    """An order that a periodic error may have.
+
+    Attributes
+    ----------
+    at : str
+        The joint.
+    line : int
+        Number of the line of that joint, from 1, to which it belongs.
+    order, sigma : Number
+        Periods a turn of the joint, and the standard deviation within this peak of the posterior.
+    odds : Number
+        Posterior probability relative to the most probable order of this line.
+    determined : bool
+        Whether the order of this line is determined; where it is not, no parameter states it.
+    """
+
+    at: str
+    line: int
+    order: Number
+    sigma: Number
+    odds: Number
+    determined: bool
+
+
+@dataclass(frozen=True)
+class FoundAgain:
+    """Whether the same search finds an effect again in parts of the recording, and with which values.
+
+    Attributes
+    ----------
+    at : str
+        Its location.
+    found_in, parts : int
+        The number of parts in which it was found, and of all parts.
+    disjoint : bool
+        True for halves that share no pose; False for a small recording, whose parts are all poses but one part of them.
+    values : Mapping[str, tuple[ParameterEstimate, ...]]
+        By parameter, one estimate for each part in which it was found.
+    """
+
+    at: str
+    found_in: int
+    parts: int
+    disjoint: bool
+    values: Mapping[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
+
+    @property
+    def repeats(self) -> bool:
+        """False where disjoint parts do not all have it."""
+        return not self.disjoint or self.found_in == self.parts
+
+
+@dataclass(frozen=True)
 class MotionStep:
     """One form of an effect, in the order of selection. adds: names of its parameters; held_out_before_rms, held_out_after_rms: by joint,
     in the unit of the channel (deg, N m)."""
@@ -132,6 +188,10 @@ class EffectFound(EveryKey):
         Other locations that act alike on these data. Poses only.
     held_out_gain_std
         Standard deviation of ``held_out_gain``, 0 where it is not known. Poses only.
+    orders
+        All orders that a periodic error may have. Poses only.
+    found_again
+        One entry for each location: whether parts of the recording show it again. Poses only; empty where that was not tried.
     channel
         Kind of mismatch of a motion that shows the effect; empty for poses.
     held_out_gain_here
@@ -145,7 +205,7 @@ class EffectFound(EveryKey):
         Structure in a residual that no effect of the catalogue explains, over the covariate ``depends_on``. Motion only.
     """
 
-    left_out = (*OF_MOTION, "trend")
+    left_out = (*OF_MOTION, *WHERE_KNOWN, "trend")
     later = ("depends_on", "alternatives", *OF_POSES)
 
     name: str
@@ -161,6 +221,8 @@ class EffectFound(EveryKey):
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
     held_out_gain_std: Number = 0.0
+    orders: tuple[PossibleOrder, ...] = ()
+    found_again: tuple[FoundAgain, ...] = ()
     channel: str = ""
     held_out_gain_here: float | None = None
     steps: tuple[MotionStep, ...] = ()
@@ -171,12 +233,16 @@ class EffectFound(EveryKey):
         """An unmodelled effect of a motion is never a trend: it was held against noise by itself."""
         if self.shape is None:
             sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-            object.__setattr__(self, "trend", trend(sizes, self.gain_here, self.held_out_gain_std))
+            reason = trend(sizes, self.gain_here, self.held_out_gain_std)
+            if not reason and self.found_again and not any(one.repeats for one in self.found_again):
+                reason = NOT_FOUND_AGAIN
+            object.__setattr__(self, "trend", reason)
 
     def unwritten(self) -> Sequence[str]:
+        empty = [key for key in WHERE_KNOWN if not getattr(self, key)]
         if not self.channel:
-            return OF_MOTION
-        return (*OF_POSES, "shape") if self.shape is None else (*OF_POSES, *OF_MODELS)
+            return (*OF_MOTION, *empty)
+        return (*OF_POSES, *empty, "shape") if self.shape is None else (*OF_POSES, *empty, *OF_MODELS)
 
     @property
     def gain_here(self) -> float:

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, pairs_not_separable, verdict_by_evidence, with_alternatives
+from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
+from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.next_measurements import SizedEffects, elsewhere, revealing, separating
+from mbcacq.diagnosis.output.next_measurements import elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
+from mbcacq.diagnosis.output.orders import with_orders
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
-from mbcacq.effects.in_words import odds_in_words
+from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,16 +46,22 @@ class JudgedFit:
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
     not_separable: tuple[NotSeparable, ...]
-    pairs: tuple[tuple[SizedEffects, SizedEffects], ...]
+    pairs: tuple[tuple[Sequence[Member], Sequence[Member]], ...]
 
 
-def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) -> JudgedFit:
-    """What the evidence says of a fit; the held-out figures of ``validation`` are reported beside it."""
+NOTHING_REPEATED: Repetitions = {}
+
+
+def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, again: Repetitions = NOTHING_REPEATED) -> JudgedFit:
+    """What the evidence says of a fit; the held-out figures of ``validation``, and whether parts of the recording show each effect
+    ``again``, are reported beside it.
+    """
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
-    fit, contributions = full.evidence, Contributions(full)
-    found = effects_by_contribution(full, contributions, validation)
+    contributions = Contributions(full)
+    found = effects_by_contribution(full, contributions, validation, again)
     effects, mismatch = averaged_over_sets(full, with_alternatives(full, found)), mismatch_table(full, contributions, before)
-    not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
+    alike = pairs_not_separable(full.evidence)
+    pairs = (tuple(side.part(lambda m: m.candidate.name != UNKNOWN).with_coefficients for side in sides) for _, *sides in alike)
     return JudgedFit(
         full=full,
         validation=validation,
@@ -59,8 +70,8 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) 
         verdict=verdict_of(full),
         mismatch=mismatch,
         effects=effects,
-        not_separable=not_separable,
-        pairs=pairs,
+        not_separable=tuple(pair for pair, *_ in alike),
+        pairs=tuple((ours, theirs) for ours, theirs in pairs if ours and theirs),
     )
 
 
@@ -78,10 +89,11 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     reported = with_significance(fit.effects, setup, full)
     evidence = summarized(setup, full.evidence)
     recordings = between_recordings(full)
-    reported = with_common_values(reported, recordings)
+    reported = with_orders(full, with_spread_between_parts(with_common_values(reported, recordings)))
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
-    if verdict == "explained" and all(e.trend for e in effects):
-        verdict = "cannot_tell"  # a name without a figure explains nothing
+    once = not_found_again(effects) if verdict == "explained" else []
+    if verdict == "explained" and (once or all(e.trend for e in effects)):
+        verdict = "cannot_tell"  # a name without a figure, or one that halves do not both give, explains nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
@@ -102,6 +114,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
             *of_effects(setup, full, fit.effects),
             *([] if too_little is None else [too_little]),
             *undecided_evidence(full),
+            *once,
             *evidence.untried,
         ),
         exclusion_limits=exclusion_limits(full, setup.candidates, there),
@@ -109,6 +122,14 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )
+
+
+def not_found_again(effects: Sequence[EffectFound]) -> list[str]:
+    """A sentence where halves of the recording do not both show what was found."""
+    named = [f"{effect_in_words(e.name)} at {one.at}" for e in effects for one in e.found_again if not one.repeats]
+    if not named:
+        return []
+    return [f"halves of the recording do not both show {', '.join(named)}: the recording is not explained by what one part of it shows"]
 
 
 def undecided_evidence(full: ModelFit) -> list[str]:

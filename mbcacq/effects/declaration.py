@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Parameters
+from mbcacq.model.cell import Drive
 
 Where = tuple[str, ...]  # locations of a candidate
 
@@ -149,6 +150,8 @@ class Declaration:
         (parameters found in motion, parameters of all effects found) -> the same in the vocabulary of the poses, if that differs.
     needs
         Columns of a recording without which it cannot be told from others.
+    drives, without_drive
+        Drives of a joint that can have it, where not every one can; and why no other has it, as the end of a sentence.
     challenge
         How it is injected into simulated cells, None for one that is not.
     """
@@ -165,6 +168,8 @@ class Declaration:
     model_block: str = ""
     in_terms_of_poses: Callable[[Parameters, Parameters], Parameters] | None = None
     needs: tuple[str, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    without_drive: str = ""
     challenge: Challenge | None = None
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,7 @@ __all__ = [
     "PriorOdds",
     "Parameters",
     "StandstillRows",
+    "Support",
     "Report",
     "joined_parameters",
     "label_of",
@@ -138,6 +139,8 @@ Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 class EffectRows(Protocol):
     """What an effect adds to the rows of a kind of recording, linear in its coefficients: ``StandstillRows``, or ``MotionRows`` in time."""
 
+    hyper_digits: ClassVar[int | None]
+
     @property
     def typical(self) -> np.ndarray: ...
 
@@ -159,6 +162,8 @@ class StandstillRows:
         of it is.
     """
 
+    hyper_digits: ClassVar[int | None] = 1  # by which values of a hyper-parameter are told apart
+
     described: Described
     typical: np.ndarray
 
@@ -177,6 +182,28 @@ class PriorOdds:
 
     odds: float
     beside: str
+
+
+@dataclass(frozen=True)
+class Support:
+    """What physics allows of an effect at a location, beside the sign: the support of the prior of its size.
+
+    Attributes
+    ----------
+    largest
+        Size of a coefficient, in its own unit, that no such effect exceeds; one number, or one for each coefficient.
+    limit
+        What makes that impossible, as the end of a sentence.
+    refused
+        Of an unmodelled effect: the sentence on the name that it cannot have.
+    """
+
+    largest: float | np.ndarray = np.inf
+    limit: str = ""
+    refused: str = ""
+
+
+ANY_SIZE = Support()
 
 
 @dataclass(frozen=True)
@@ -206,6 +233,8 @@ class Candidate(Generic[R]):
         Its prior odds beside the effect through which it shows, if most arms like this one have it.
     least_size
         Size of its coefficients, in typical ones, below which an arm like this one does not have it.
+    support
+        What physics allows of its size.
     """
 
     name: str
@@ -220,6 +249,7 @@ class Candidate(Generic[R]):
     rarity: float = 1.0
     usual: PriorOdds | None = None
     least_size: float = 0.0
+    support: Support = field(default=ANY_SIZE, compare=False)
 
     def __post_init__(self) -> None:
         if not hasattr(self.rows, "typical"):

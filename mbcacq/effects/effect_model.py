@@ -10,7 +10,8 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_file import FORMAT, ArmInFile, EffectModelFile, check_effects, read_effects
-from mbcacq.effects.effect_term import MOVEMENT, UNKNOWN, EffectTerm, LearntRecording, is_angle
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording
+from mbcacq.effects.learnt_range import MOVEMENT, LearntRange, is_angle, learnt_ranges
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.terms import Term, accumulate
@@ -88,7 +89,7 @@ class EffectModel:
         """The terms that differ between recordings, for another recording than the one learnt from, as functions of its own covariates.
 
         ``at`` leaves them out, or takes them as they were at the end; there they are as large as they were found, with coefficients of
-        which nothing else is known. So are unmodelled effects beyond where they were learnt.
+        which nothing else is known. So are effects beyond where they were learnt.
         """
         if self.learnt.is_of(obs):
             return ()
@@ -118,6 +119,18 @@ class EffectModel:
         number = np.full(len(q), -1)
         none = np.zeros(0, dtype=int)
         return Observations(cell, number, np.zeros(len(q), dtype=int), np.asarray(q, dtype=float), none, none, np.zeros((0, 3)))
+
+    def inside(self, obs: Observations) -> np.ndarray:
+        """(M,) bool: centres of a recording that lie where all effects were learnt."""
+        here, out = Covariates(obs), np.ones(obs.n_centres, bool)
+        for t in self.terms:
+            out &= t.inside(here)
+        return out
+
+    def learnt_at(self, obs: Observations) -> EffectModel:
+        """The model with the ranges of a recording to which it is fitted anew."""
+        here = Covariates(obs)
+        return replace(self, terms=tuple(replace(t, ranges={**t.ranges, **_ranges(t, here)}) for t in self.terms))
 
     def departures(self, obs: Observations) -> list[Departure]:
         """Covariates of a recording that leave their learnt range, largest share first."""
@@ -198,6 +211,12 @@ def combined(models: Iterable[EffectModel]) -> EffectModel:
         raise ConfigError(f"these effects are of several arms: {', '.join(m.robot.name for m in several)}; give those of one")
     terms = {t.key: t for m in several for t in m.terms}
     return replace(several[-1], terms=tuple(terms.values()))
+
+
+def _ranges(t: EffectTerm, here: Covariates) -> dict[str, LearntRange]:
+    """The ranges of the covariates of a term in a recording, of those that it has."""
+    lacking = set(t.missing(here))
+    return learnt_ranges(here, [part for part in t.parts if not part.covariates & lacking])
 
 
 def _placed(t: EffectTerm) -> str:

@@ -13,73 +13,16 @@ from pydantic import Field, FiniteFloat
 from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import OF_CENTRES, REPEATING, DescribedPart
+from mbcacq.effects.functions import OF_CENTRES, DescribedPart
+from mbcacq.effects.learnt_range import MOVEMENT, STANDSTILL, LearntRange, learnt_ranges
 from mbcacq.estimation.terms import PER_POSE, Part, Term, term
 from mbcacq.model.json_text import EveryKey, InJson, Number, Vector, as_list
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
-MOVEMENT = "movement_"
-TRAVEL = "travel_"  # covariates of a joint's last motion
-STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
-GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
-MARGIN = 0.02  # of a range, by which a value may leave it
-FADES_OVER = np.radians(10.0)  # beyond the visited angles: two such steps on nothing is left of what was learnt
-FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
 SMOOTH = "smooth"  # variant of those groups of a calibration's discrepancy that go on where the recording was not
 GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
 COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
-
-
-@dataclass(frozen=True)
-class LearntRange:
-    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. Those of an angle are modulo a turn,
-    unless turns count (``counts_turns``), since a function of it does not repeat.
-    """
-
-    intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
-    mean: FiniteFloat
-    counts_turns: bool = False
-
-    @classmethod
-    def of(cls, name: str, values: np.ndarray, counts_turns: bool) -> LearntRange:
-        """The range of values (k,)."""
-        mean = float(np.mean(values))
-        if not is_angle(name):
-            return cls(((float(np.min(values)), float(np.max(values))),), mean)
-        visited = np.sort(values if counts_turns else np.mod(values, 2 * np.pi))
-        ends = np.flatnonzero(np.diff(visited) > GAP)
-        begin, end = visited[np.concatenate([[0], ends + 1])], visited[np.concatenate([ends, [-1]])]
-        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean, counts_turns)
-
-    @property
-    def low(self) -> float:
-        return self.intervals[0][0]
-
-    @property
-    def high(self) -> float:
-        return self.intervals[-1][1]
-
-    def outside(self, name: str, values: np.ndarray) -> np.ndarray:
-        """(k,) bool: values that lie in none of the intervals."""
-        return self.beyond(name, values) > 0.0
-
-    def beyond(self, name: str, values: np.ndarray) -> np.ndarray:
-        """(k,) distance of values from the nearest interval, less the margin that is taken to belong to it."""
-        angle = is_angle(name)
-        repeats = angle and not self.counts_turns
-        x = np.mod(values, 2 * np.pi) if repeats else np.asarray(values, dtype=float)
-        margin = GAP if angle else MARGIN * (self.high - self.low) + 1e-12
-        distance = np.full(np.shape(x), np.inf)
-        for low, high in self.intervals:
-            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if repeats else (0.0,):
-                distance = np.minimum(distance, np.maximum(np.maximum(low + turn - x, x - high - turn), 0.0))
-        return np.maximum(distance - margin, 0.0)
-
-    def within(self, name: str, values: np.ndarray) -> np.ndarray:
-        """(k,) 1 in the range, falling to nought outside of it."""
-        width = FADES_OVER if is_angle(name) else FADES_OVER_SHARE * (self.high - self.low) + 1e-12
-        return np.exp(-0.5 * (self.beyond(name, values) / width) ** 2)
 
 
 @dataclass(frozen=True)
@@ -144,7 +87,8 @@ class EffectTerm(EveryKey):
     names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
     inf for none.
     ranges: covariate -> where it was in the recording learnt from. clamped: covariates that are held at the end of their learnt range
-    beyond it. held: whether something else than the poses determines the coefficients, which stay then where others are fitted.
+    beyond it: there the effect is a constant, as an error of the geometry is. held: whether something else than the poses determines the
+    coefficients, which stay then where others are fitted.
     """
 
     left_out = ("held",)
@@ -229,16 +173,16 @@ class EffectTerm(EveryKey):
         parts = self._going_on(here, learnt)
         return [_times(p, self._within(here, own)) for p, own in zip(parts, self.parts, strict=True)] if self.fades else parts
 
-    def _going_on(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
-        """The parts as their functions go on outside of where they were learnt."""
+    def _going_on(self, here: Covariates, learnt: LearntRecording, held: bool = True) -> list[Part]:
+        """The parts without fading; with covariates held in their learnt range or, if not ``held``, as their functions go on."""
         same = learnt.is_of(here.obs) if self.bound_to_recording else True
         # A hundred functions are of one covariate: its values are looked up once.
-        return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same)))
+        return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same, held)))
 
     @property
     def fades(self) -> bool:
-        """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. A part
-        that gives way to a load is no such function, and is held at the end of its range.
+        """Whether it shrinks to nothing outside of where it was learnt, in the covariates that are not held: a smooth function says nothing
+        of what lies beyond its data.
 
         The discrepancy of a calibration has both. A joint's own error by periods a turn (``order k``) and the softening of a wind-up are
         known in the range of the data alone, and fade. Its other groups (variant ``SMOOTH``) go on, with the uncertainty of their
@@ -248,11 +192,11 @@ class EffectTerm(EveryKey):
         return self.name == UNKNOWN and self.variant not in (COMMON_PATTERN, SMOOTH) and GIVES_WAY not in self.units
 
     def _within(self, here: Covariates, part: DescribedPart) -> np.ndarray:
-        """(rows,) of a part: 1 where all its covariates are as they were when it was learnt, falling to nought beyond."""
+        """(rows,) of a part: 1 where its covariates that are not held are as they were when it was learnt, falling to nought beyond."""
         obs = here.obs
         per_pose = part.place in PER_POSE
         out = np.ones(obs.n_poses if per_pose else obs.n_centres)
-        for name in sorted(part.covariates & set(self.ranges)):
+        for name in sorted((part.covariates & set(self.ranges)) - set(self.clamped)):
             if name in self.missing(here):
                 continue
             own = self.ranges[name].within(name, here.value(name))
@@ -264,14 +208,27 @@ class EffectTerm(EveryKey):
         return term(self.key, self.parts_at(here, learnt), self.names, self.units, self.sigma)
 
     def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term | None:
-        """An unmodelled effect beyond the range in which it was learnt, with its prior alone; None where no pose is."""
-        if not self.fades or not np.all(np.isfinite(self.sigma)):
+        """What the effect may be beyond the range in which it was learnt, beside what is predicted there: as its functions go on, with the
+        size that it was found with. None where no pose is beyond.
+        """
+        if not (self.fades or self.clamped) or not np.all(np.isfinite(self.sigma)) or self.inside(here).all():
             return None
-        left = [np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) for own in self.parts]
-        if not any(np.any(one) for one in left):
-            return None
-        parts = [_times(p, one) for p, one in zip(self._going_on(here, learnt), left, strict=True)]
-        return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma)
+        held, parts = self._going_on(here, learnt), list[Part]()
+        free = self._going_on(here, learnt, held=False) if self.clamped else held
+        for at_end, on, own in zip(held, free, self.parts, strict=True):
+            left = np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) if self.fades else np.zeros(len(at_end.basis))
+            parts.append(replace(at_end, basis=on.basis - at_end.basis + left[:, None] * at_end.basis))
+        return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma_elsewhere)
+
+    def inside(self, here: Covariates) -> np.ndarray:
+        """(M,) bool: centres at which every covariate that has a range is as it was where the effect was learnt."""
+        obs, out = here.obs, np.ones(here.obs.n_centres, bool)
+        limited = set(self.clamped) | (self.covariates if self.fades else set())
+        for name in sorted(limited & set(self.ranges) - set(self.missing(here))):
+            known, values = self.ranges[name], here.value(name)
+            left = np.abs(known.held(name, values) - values) > known.margin(name) if name in self.clamped else known.outside(name, values)
+            out &= ~(left if name in OF_CENTRES else left[obs.pose])
+        return out
 
     @property
     def sigma_elsewhere(self) -> np.ndarray:
@@ -295,7 +252,7 @@ class EffectTerm(EveryKey):
                 out.append(name)
         return tuple(out)
 
-    def _value(self, here: Covariates, learnt: LearntRecording, name: str, same: bool) -> np.ndarray:
+    def _value(self, here: Covariates, learnt: LearntRecording, name: str, same: bool, held: bool) -> np.ndarray:
         poses = here.obs.n_poses
         if name == "pose":
             return learnt.ranks(here.obs) if same else np.full(poses, float(len(learnt.poses) - 1))
@@ -309,7 +266,7 @@ class EffectTerm(EveryKey):
         except Missing:
             rows = here.obs.n_centres if name in OF_CENTRES else poses
             return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
-        return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
+        return known.held(name, values) if held and name in self.clamped and known is not None else values
 
 
 def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:
@@ -318,24 +275,5 @@ def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper
     return ":".join(part for part in (name, "+".join(where), depends_on, variant, at) if part)
 
 
-def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
-    """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
-    functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
-    counting_turns = {f.covariate for f in functions if f.kind not in REPEATING}
-    names = {f.covariate for f in functions if not f.covariate.startswith((MOVEMENT, TRAVEL))} - {*OF_RECORDING, "ball"}
-    return {name: learnt_range(here, name, name in counting_turns) for name in sorted(names)}
-
-
-def learnt_range(here: Covariates, name: str, counts_turns: bool) -> LearntRange:
-    """The range of a covariate in a recording."""
-    key = "learnt range", name, "turns" if counts_turns else ""
-    return here.computed_once(key, lambda: LearntRange.of(name, here.value(name), counts_turns))
-
-
 def _times(part: Part, factor: np.ndarray) -> Part:
     return replace(part, basis=part.basis * factor[:, None])
-
-
-def is_angle(name: str) -> bool:
-    """Whether a covariate is the angle of a joint, so that a full turn leads to the same place."""
-    return name[:1] == "q" and name[1:].isdigit()

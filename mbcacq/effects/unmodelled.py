@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm, is_angle
+from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
+from mbcacq.effects.learnt_range import is_angle
 from mbcacq.estimation.random_effect_sizes import Ending
 
 DEVIATION = "deviation"

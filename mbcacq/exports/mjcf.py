@@ -13,8 +13,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import EffectTerm, is_angle
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import Column
+from mbcacq.effects.learnt_range import is_angle
 from mbcacq.exports.joint_frames import behind_joints, joint_frames
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain

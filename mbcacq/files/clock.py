@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
+FIRST_EPOCH_S, LAST_EPOCH_S = 6.3e8, 4.1e9  # 1990 and 2100, since 1970
 _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,]\d+)?))?"
 _ZONE = r"(?:\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}))?"
 _ISO = re.compile(rf"(?P<Y>\d{{4}})[-/.](?P<M>\d{{1,2}})[-/.](?P<D>\d{{1,2}})(?:[T\s]+{_CLOCK}{_ZONE})?")
@@ -78,3 +79,12 @@ def _zone(text: str | None) -> float:
     digits = text[1:].replace(":", "")
     size = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
     return -size if text[0] == "-" else size
+
+
+def in_seconds(times: np.ndarray) -> np.ndarray:
+    """Times (rows,) s; those since 1970 that are too large for s by far are in ms, us or ns, as ROS and cameras write them."""
+    smallest = float(np.min(times, initial=np.inf))
+    for factor in (1e3, 1e6, 1e9):
+        if FIRST_EPOCH_S < smallest / factor < LAST_EPOCH_S:
+            return times / factor
+    return times

@@ -115,7 +115,8 @@ def _parsed(path: Path, lines: list[str], separator: str) -> tuple[list[str], li
         raise ConfigError(f"{path}:{reader.line_num}: not a CSV file ({error}); save it as comma-separated text") from None
     if not rows:
         raise ConfigError(f"{path}:1: the file is empty; a header line and at least one row are needed")
-    return [name.strip() for name in rows[0]], rows[1:], numbers[1:], numbers[0]
+    first, *others = rows[0]  # headings may stand behind a mark of comments
+    return [first.lstrip("# ").strip(), *(name.strip() for name in others)], rows[1:], numbers[1:], numbers[0]
 
 
 def _without_empty_columns(path: Path, line: int, headings: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
@@ -202,7 +203,7 @@ def _headings_at(lines: Sequence[str], hint: str | None, score: Callable[[Sequen
 
 def _cells(line: str, separator: str) -> list[str]:
     try:
-        return next(csv.reader([line], delimiter=separator), [])
+        return next(csv.reader([line.lstrip("# ")], delimiter=separator), [])
     except csv.Error:
         return []
 

@@ -11,6 +11,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 
 Measurement = Literal["artefact_in_scanner", "target_in_base"]
+Drive = Literal["gear", "direct", "belt", "friction_wheel", "screw", "scaled_encoder"]
 ARTEFACT_IN_SCANNER: Final = "artefact_in_scanner"
 TARGET_IN_BASE: Final = "target_in_base"
 SIMULATED = "simulated: the fake cell or a model made these data, no real arm was measured"
@@ -36,6 +37,8 @@ class RobotModel:
         (3,) unit vector in the base frame, pointing down.
     balancer : bool or None
         Whether a spring or gas balancer carries A2; None where the source does not say.
+    drives : tuple[Drive | None, ...]
+        (n,) what moves each joint, None where the source does not say; empty where it says so of no joint.
     """
 
     name: str
@@ -52,10 +55,15 @@ class RobotModel:
     repeatability_mm: float | None = None
     jerk: np.ndarray | None = None
     balancer: bool | None = None
+    drives: tuple[Drive | None, ...] = ()
 
     @property
     def n(self) -> int:
         return self.chain.n
+
+    def drive(self, joint: int) -> Drive | None:
+        """What moves a joint, by its index; None where the source does not say."""
+        return self.drives[joint] if joint < len(self.drives) else None
 
     @property
     def of_flange_poses(self) -> bool:

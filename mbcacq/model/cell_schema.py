@@ -95,6 +95,7 @@ class LinkSpec(Strict):
     mass_kg: Mass = 0.0
     com_mm: Place = (0.0, 0.0, 0.0)
     gear_ratio: GearRatio | None = None
+    drive: cell.Drive | None = None
 
 
 class PayloadSpec(Strict):
@@ -142,6 +143,7 @@ class RobotSpec(Strict):
             gravity=_unit(gravity),
             repeatability_mm=self.repeatability_mm,
             balancer=self.balancer,
+            drives=tuple(link.drive for link in self.links) if any(link.drive for link in self.links) else (),
         )
 
 

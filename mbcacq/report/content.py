@@ -198,7 +198,8 @@ class Devices:
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
     """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
-    with ball_phase (M,) str, or None. arm: (n + 1, 3) mm, the joints in the middle pose, or None."""
+    with ball_phase (M,) str, or None. arm: (3 n, 3) mm, the
+    links in the middle pose as ``arm_outline`` has them, or None; arm_radii: (n,) mm."""
 
     q_deg: np.ndarray
     limits_deg: np.ndarray | None
@@ -207,6 +208,7 @@ class Coverage:
     balls: np.ndarray | None = None
     ball_phase: np.ndarray | None = None
     arm: np.ndarray | None = None
+    arm_radii: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,8 +81,8 @@ def _scene(content: Content) -> Any:
         points = coverage.balls[coverage.ball_phase == phase]
         points = points[thinned(np.zeros(len(points)))]
         groups.append({"name": str(phase) or "all poses", "colour": PHASES[k % len(PHASES)], "points": np.round(points, 1).tolist()})
-    arm = [] if coverage.arm is None else np.round(coverage.arm, 1).tolist()
-    return Markup(_script_safe(json.dumps({"groups": groups, "arm": arm})))
+    arm, radii = ([] if each is None else np.round(each, 1).tolist() for each in (coverage.arm, coverage.arm_radii))
+    return Markup(_script_safe(json.dumps({"groups": groups, "arm": arm, "radii": radii})))
 
 
 def render_diagnosis(

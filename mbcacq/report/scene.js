@@ -24,6 +24,11 @@ const turningView = (canvas, data) => {
     return [right, z * Math.cos(tilt) + away * Math.sin(tilt), away * Math.cos(tilt) - z * Math.sin(tilt)];
   };
   const span = [0, 1].map((k) => 2 * Math.max(1, ...corners.map((p) => Math.abs(turned(p)[k]))));  // as the view opens, all of it is seen
+  const links = (arm, radii) => {  // from the farthest to the nearest; three corners a link, then the scanner
+    const each = arm.slice(1).map((p, k) => [arm[k], p, k < 3 * radii.length - 1 ? radii[Math.floor(k / 3)] : 8]);
+    const away = ([a, b]) => turned(a)[2] + turned(b)[2];
+    return each.sort((a, b) => away(b) - away(a));
+  };
   const draw = () => {
     const width = canvas.width, height = canvas.height, unit = zoom * 0.94 * Math.min(width / span[0], height / span[1]);
     const place = (p) => {
@@ -48,7 +53,10 @@ const turningView = (canvas, data) => {
     };
     boxes.forEach((c) => frame(c, colour("--scene-box", "#b08d57"), 1));
     const arm = pose ? pose.arm : data.arm;
-    if (arm.length) line(arm, colour("--scene-arm", "#b9bec4"), 14), line(arm, colour("--scene-bone", "#6b7178"), 3);
+    links(arm, data.radii || []).forEach(([a, b, radius]) => {  // a capsule is a broad line, darker along its edges
+      line([a, b], colour("--scene-bone", "#6b7178"), (1.6 * radius * unit) / ratio);
+      line([a, b], colour("--scene-arm", "#b9bec4"), (1.2 * radius * unit) / ratio);
+    });
     if (pose) {
       frame(pose.view, colour("--scene-view", "#0072b2"), 1.2);
       const eye = pose.arm[pose.arm.length - 1];
@@ -93,6 +101,16 @@ const turningView = (canvas, data) => {
       turn += 0.008 * (e.clientX - before.clientX);
       tilt = Math.min(1.57, Math.max(-1.57, tilt + 0.008 * (e.clientY - before.clientY)));
     }
+    draw();
+  });
+  canvas.tabIndex = 0;
+  const keys = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1], "+": 1.15, "-": 1 / 1.15 };
+  canvas.addEventListener("keydown", (e) => {
+    const by = keys[e.key];
+    if (!by || e.ctrlKey || e.metaKey || e.altKey) return;
+    e.preventDefault();
+    if (typeof by === "number") zoom = Math.min(8, Math.max(0.3, zoom * by));
+    else turn += by[0], tilt = Math.min(1.57, Math.max(-1.57, tilt + by[1]));
     draw();
   });
   canvas.addEventListener("wheel", (e) => { e.preventDefault(); zoom = Math.min(8, Math.max(0.3, zoom * Math.exp(-0.001 * e.deltaY))); draw(); }, { passive: false });

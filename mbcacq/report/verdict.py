@@ -71,7 +71,7 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spac
         return ReportVerdict("undecided", NO_BUDGET[0], f"{errors}; limit {spacing.limit:g} mm. {NO_BUDGET[1]}")
     against = (
         f"{errors}; limit {spacing.limit:g} mm. Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit "
-        "plus U. Each place has its own U (k = 2), from the budget below."
+        "plus U. Each place has its own U (k = 2)."
     )
     level = verdict_of_places(spacing.after, list(spacing.judging), spacing.limit)
     return ReportVerdict(level, HEADLINES[level], against)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from flask import Flask, Response, abort, jsonify, redirect, render_template, request, send_file, url_for
+from flask import Flask, Response, abort, jsonify, redirect, render_template, request, send_file, stream_template, url_for
 from jinja2 import StrictUndefined
 from markupsafe import Markup
 from werkzeug.exceptions import HTTPException
 
 from mbcacq.errors import MbcacqError
+from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.stop import stop_run
 from mbcacq.report.charts.spacing_svg import spacing_picture
 from mbcacq.report.content import Content
 from mbcacq.report.page import SCENE_SCRIPT, stages_of
 from mbcacq.serve.guard import REPORT, Guard
+from mbcacq.serve.history_svg import history_picture
 from mbcacq.serve.live import log_of, progress_of
 from mbcacq.serve.overview import Overviews
 from mbcacq.serve.plan_scene import PlanScenes
+from mbcacq.serve.run_choice import RunChoice, chosen
 from mbcacq.serve.run_list import FLEET_PAGE, ListedFolder, RunList, find_runs
 from mbcacq.serve.run_row import RunRow
 from mbcacq.serve.side_by_side import MOST_RUNS, changes, figures_of
@@ -38,14 +42,31 @@ class Pages:
     overviews: Overviews = field(default_factory=Overviews)
     scenes: PlanScenes = field(default_factory=PlanScenes)
 
-    def listed(self) -> str:
+    def listed(self) -> Response:
+        """The list begins to arrive before the runs of its page are read."""
         found = find_runs(self.root)
-        rows = [self.row(run) for run in found.runs.values()]
-        going_on = [row for row in rows if row.progress.state in ("running", "uncertain")]
-        rest = sorted((row for row in rows if row not in going_on), key=lambda row: row.overview.started, reverse=True)
-        return render_template(
-            "list.html.j2", rows=[*going_on, *rest], fleets=list(found.fleets.values()), left_out=found.left_out, most=MOST_RUNS
+        choice = RunChoice.asked(request.args.get)
+        runs = chosen(list(found.runs.values()), choice)
+        running = [row for row in map(self.row, runs.locked) if row.progress.state in ("running", "uncertain")]
+        rest = [run for run in runs.shown if all(run.key != row.found.key for row in running)]
+        history = ""
+        if choice.cell:
+            history = Markup(history_picture([self.row(run) for run in reversed(runs.shown)]))
+        body = stream_template(
+            "list.html.j2",
+            running=running,
+            rows=map(self.row, rest),
+            choice=choice,
+            runs=runs,
+            kinds=[kind.value for kind in RunKind],
+            today=f"{datetime.now(UTC):%Y-%m-%d}",
+            history=history,
+            fleets=list(found.fleets.values()),
+            left_out=found.left_out,
+            token=self.guard.token,
+            most=MOST_RUNS,
         )
+        return Response(body, mimetype="text/html")
 
     def run(self, key: str) -> str:
         row = self.row(_one(find_runs(self.root), key))

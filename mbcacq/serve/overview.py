@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mbcacq.report.content import Content
 
 FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl", CHECK_RESULT, PLAN_FILES)
+MOST_KEPT = 300
 MOST_BYTES = 64 << 20  # of one of these files; a result has a few
 
 
@@ -55,7 +56,7 @@ class Overview:
 
 
 class Overviews:
-    """The overview of each run, read again where one of its files has changed. For several threads."""
+    """The overview of each run, read again where one of its files has changed; the last few hundred are kept. For several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -69,7 +70,10 @@ class Overviews:
             return kept[1]
         read = read_overview(folder)
         with self._lock:
+            self._kept.pop(folder, None)
             self._kept[folder] = (stamp, read)
+            while len(self._kept) > MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
         return read
 
 

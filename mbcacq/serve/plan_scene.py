@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.geometry.link_shapes import arm_outline, link_radii
 from mbcacq.plan import LoadedPlan, PlannedPose, load
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.schema import FieldOfView
@@ -19,6 +20,7 @@ from mbcacq.recording.run_folder.run_plan import PLAN, fault_of, plan_of_run
 from mbcacq.report.charts.style import PHASES
 from mbcacq.report.sources.check_result import read_check_result
 
+MOST_KEPT = 30
 MOST_BYTES = 4 << 20  # of a plan
 NOT_SEEN = "#8a929a"
 LARGEST_BOX = 2000.0  # mm; a floor or a wall would only frame the scene, and make the arm small
@@ -44,6 +46,8 @@ class PlanScenes:
             if kept is None or kept[0] != status.st_mtime_ns:
                 kept = status.st_mtime_ns, json.dumps(plan_scene(plan_in(folder), _checked(folder)), allow_nan=False)
                 self._kept[folder] = kept
+                while len(self._kept) > MOST_KEPT:
+                    del self._kept[next(iter(self._kept))]
         return kept[1]
 
 
@@ -65,10 +69,10 @@ def plan_scene(loaded: LoadedPlan, only: frozenset[int] | None = None) -> dict[s
     Returns
     -------
     dict
-        'groups': balls of all stations, by artefact ('name', 'colour', 'points' (k, 3)). 'arm': (n + 1, 3) at home. 'boxes': obstacles,
-        corners (8, 3) each. 'poses': for each 'label', 'arm' (n + 2, 3) to the scanner, 'view' (8, 3) corners of the field of view, four
-        near and four far, 'seen' (k, 3) the balls in it. 'colour' is that of its phase. 'unreachable': number of poses that the arm cannot
-        take.
+        'groups': balls of all stations, by artefact ('name', 'colour', 'points' (k, 3)). 'arm': (3 n, 3) corners of its links at home, with
+        'radii' (n,). 'boxes': obstacles, corners (8, 3) each. 'poses': for each 'label', 'arm' (3 n + 1, 3) to the scanner, 'view' (8, 3)
+        corners of the field of view, four near and four far, 'seen' (k, 3) the balls in it. 'colour' is that of its phase. 'unreachable':
+        number of poses that the arm cannot take.
     """
     poses, lacking = expand_reachable(loaded)
     if only is not None:
@@ -77,11 +81,12 @@ def plan_scene(loaded: LoadedPlan, only: frozenset[int] | None = None) -> dict[s
     centres = {s.id: se3.apply(s.T_base_station, cell.artefact(s.artefact).centres) for s in cell.stations if s.T_base_station is not None}
     points = [xyz for station in centres.values() for xyz in station]
     phases = list(dict.fromkeys(pose.phase for pose in poses))
-    home = cell.robot.chain.frames(np.radians([loaded.plan.robot.home_deg]))[0]
+    chain = cell.robot.chain
     boxes = [(np.array(o.min_mm, float), np.array(o.max_mm, float)) for o in loaded.plan.obstacles]
     return {
         "groups": [{"name": "balls at all stations, as planned", "colour": NOT_SEEN, "points": _rounded(points)}],
-        "arm": _rounded(home[:, :3, 3]),
+        "arm": _rounded(arm_outline(chain, np.radians(loaded.plan.robot.home_deg))),
+        "radii": np.round(link_radii(chain), 1).tolist(),
         "boxes": [_rounded(_corners(low, high)) for low, high in boxes if np.max(high - low) <= LARGEST_BOX],
         "poses": [
             _pose(loaded, pose, f"{k} of {len(poses)}", field, centres, PHASES[phases.index(pose.phase) % len(PHASES)])
@@ -94,15 +99,15 @@ def plan_scene(loaded: LoadedPlan, only: frozenset[int] | None = None) -> dict[s
 def _pose(
     loaded: LoadedPlan, pose: PlannedPose, place: str, field: FieldOfView, centres: dict[str, np.ndarray], colour: str
 ) -> dict[str, Any]:
-    frames = loaded.cell.robot.chain.frames(pose.q[None])[0]
-    T_base_scanner = frames[-1] @ loaded.cell.T_flange_scanner
+    chain = loaded.cell.robot.chain
+    T_base_scanner = chain.flange(pose.q[None])[0] @ loaded.cell.T_flange_scanner
     ids = loaded.cell.artefact(pose.artefact).ball_ids
     seen = [xyz for ball, xyz in zip(ids, centres.get(pose.station, ()), strict=False) if ball in pose.balls]
     names = ", ".join(map(str, pose.balls))
     return {
-        "label": f"{place} (pose {pose.number} of the recording): step {pose.step_name} ({pose.phase}), station {pose.station}, "
+        "label": f"{place}: step {pose.step_name} ({pose.phase}), station {pose.station}, "
         f"sees {len(seen)} ball{'' if len(seen) == 1 else 's'}{f' ({names})' if seen else ''}",
-        "arm": _rounded([*frames[:, :3, 3], T_base_scanner[:3, 3]]),
+        "arm": _rounded([*arm_outline(chain, pose.q), T_base_scanner[:3, 3]]),
         "view": _rounded(se3.apply(T_base_scanner, _frustum(field))),
         "seen": _rounded(seen),
         "colour": colour,

@@ -90,7 +90,7 @@ def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
     every = [RecordedSignal(signal, k) for signal in (TORQUE, JOINT_SIDE) for k in range(arm.n)]
     sensed = along(arm, spec, t, every)
     torque, q_joint = sensed[:, : arm.n], sensed[:, arm.n :]
-    robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio)
+    robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio, drives=t.robot.drives)
     return replace(t, robot=robot, q_set=None, q_joint=None if t.q_joint is None else t.q_joint - (q_joint - t.q), simulated_torque=torque)
 
 

@@ -40,6 +40,7 @@ def observations_of_model(recorded: Observations, arm: MujocoArm) -> Observation
         payload_com=se3.apply(given, robot.payload_com),
         repeatability_mm=robot.repeatability_mm,
         gear_ratio=robot.gear_ratio,
+        drives=robot.drives,
         mass=arm.robot.mass if arm.robot.mass.any() else robot.mass,
     )
     stations = tuple(s if s.T_base_station is None else replace(s, T_base_station=base @ s.T_base_station) for s in recorded.cell.stations)

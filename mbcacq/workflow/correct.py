@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,19 @@ from mbcacq.model.json_text import AsJson, InJson, keyed
 from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
+MAKES = {
+    "KUKA": r"kuka|agilus|quantec|fortec|iiwa|\bkr ?\d",
+    "Universal Robots": r"universal.?robot|\bur ?\d",
+    "ABB": r"\babb\b|\birb|gofa|yumi",
+    "FANUC": r"fanuc|lr.?mate|\bcrx|\bm-?\d+i[a-d]",
+    "other": r"yaskawa|motoman|st[aä]ubli|franka|panda|doosan|kawasaki|denso|mitsubishi|epson|comau|nachi|techman|xarm|kinova",
+}
+LANGUAGE_MAKES = {
+    "KUKA": ((".src", ".dat"), "KRL"),
+    "Universal Robots": ((".script", ".urscript"), "URScript"),
+    "ABB": ((".mod", ".modx", ".prg", ".sys"), "RAPID"),
+    "FANUC": ((".ls",), "LS"),
+}
 LARGE_CHANGE_DEG = 2.0  # of a joint: more than any calibration of an arm in good order asks for
 
 
@@ -132,6 +146,7 @@ def correct(
     arm = as_cell(cell)
     nominal = arm.nominal
     refuse_uncalibrated(arm, simulated_anyway)
+    refuse_other_make(program, arm.robot)
     points = _points(program, nominal.n)
     programmed = np.all(np.isfinite(points.q), axis=1)
     goals = points.goals if points.goals is not None else nominal.flange(points.q)
@@ -155,6 +170,17 @@ def correct(
         for p, (name, line) in enumerate(zip(points.names, points.lines, strict=True))
     )
     return Correction(file=output, points=corrected, left_alone=points.left_alone, notes=points.notes)
+
+
+def refuse_other_make(program: Path, robot: str) -> None:
+    """Raises ConfigError where the language of a program is one make's, and the arm's name says another."""
+    makes = {make for make, word in MAKES.items() if re.search(word, robot, re.IGNORECASE)}
+    of_program = next((make for make, (suffixes, _) in LANGUAGE_MAKES.items() if program.suffix.lower() in suffixes), None)
+    if of_program and makes and of_program not in makes:
+        raise ConfigError(
+            f"{program}: {LANGUAGE_MAKES[of_program][1]} is the language of {of_program} arms, and this result is of '{robot}'; give the "
+            "result of the arm that runs the program"
+        )
 
 
 def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -10,13 +11,16 @@ import numpy as np
 
 from mbcacq.design.adaptive.investigation import Decision
 from mbcacq.files.atomic_write import write_file
+from mbcacq.quantities import capitalised, power_of_ten
 
 PAGE = "how-it-was-found.html"
-WIDTH, HEIGHT, MARGIN = 640.0, 180.0, 36.0
+WIDTH, HEIGHT, LEFT, BELOW, ABOVE = 640.0, 220.0, 64.0, 44.0, 16.0
+AN_EFFECT = 2.0  # log10 of the evidence from which there is one
+VERDICTS = {"none": "no effect", "cannot_tell": "cannot tell yet", "partly_explained": "partly explained"}
 STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse}td,th{border-top:1px solid #ccc;padding:.4em .8em;text-align:left;vertical-align:top}"
-    "svg text{font-size:11px;fill:#444}"
+    ":root{color-scheme:light dark}body{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
+    ".scroll{overflow-x:auto}table{border-collapse:collapse}td,th{border-top:1px solid #999;padding:.4em .8em;text-align:left;"
+    "vertical-align:top}svg{max-width:100%;height:auto}svg text{font-size:12px;fill:currentColor}"
 )
 
 
@@ -24,21 +28,29 @@ def write_investigation_page(folder: Path, name: str, decisions: Sequence[Decisi
     """Write the page into the folder of the run; it opens offline."""
     rows = "".join(_row(d) for d in decisions)
     end = escape(decisions[-1].end or "the investigation is not finished") if decisions else "nothing was measured"
-    head = "<tr><th>poses</th><th>moves</th><th>what is possible, odds</th><th>verdict</th><th>in question</th><th>next</th></tr>"
+    heads = ("poses measured", "moves of the arm", "possible explanations (odds of the first)", "verdict", "in question", "measured next")
+    head = "<tr>" + "".join(f'<th scope="col">{one}</th>' for one in heads) + "</tr>"
     page = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>How it was found: {escape(name)}</title><style>{STYLE}</style>'
-        f"<h1>How it was found: {escape(name)}</h1><p>{end}.</p>{_evidence_curve(decisions)}<table>{head}{rows}</table></html>"
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>How it was found: {escape(name)}</title><style>{STYLE}</style><main>"
+        f"<h1>How it was found: {escape(name)}</h1><p>{capitalised(end)}.</p>{_evidence_curve(decisions)}"
+        f'<div class="scroll" tabindex="0" role="region" aria-label="each look"><table>{head}{rows}</table></div></main></html>'
     )
     write_file(folder / PAGE, page)
     return folder / PAGE
 
 
 def _row(d: Decision) -> str:
-    possible = "<br>".join(f"{escape(name)}{f' ({odds:.2g} : 1)' if k else ''}" for k, (name, odds) in enumerate(d.sets))
+    possible = "<br>".join(f"{_words(name)}{f' ({odds:.2g} : 1)' if k else ''}" for k, (name, odds) in enumerate(d.sets))
     then = "<br>".join(f"{len(s['poses_deg'])} poses at station {escape(str(s['station']))}" for s in d.steps) or escape(d.end)
-    reasons = "<br>".join(map(escape, d.reasons))
-    cells = (str(d.poses), str(d.moves), possible, escape(d.verdict), reasons, then)
+    reasons = "<br>".join(map(_words, d.reasons))
+    cells = (str(d.poses), str(d.moves), possible, escape(VERDICTS.get(d.verdict, d.verdict)), reasons, then)
     return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+
+
+def _words(said: str) -> str:
+    """A station has its name by itself: 'stationc2' is its location in an effect."""
+    return escape(re.sub(r"\bstation(?=[A-Za-z0-9])(?!s\b)", "station ", said))
 
 
 def _evidence_curve(decisions: Sequence[Decision]) -> str:
@@ -47,17 +59,29 @@ def _evidence_curve(decisions: Sequence[Decision]) -> str:
         return ""
     x = np.array([d.poses for d in decisions], dtype=float)
     y = np.array([d.log_e_value for d in decisions]) / np.log(10)
-    low, high = min(-1.0, float(y.min())), max(3.0, float(y.max()))
-    across = MARGIN + (WIDTH - 2 * MARGIN) * (x - x[0]) / max(x[-1] - x[0], 1.0)
-    up = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * (y - low) / (high - low)
-    threshold = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * (2.0 - low) / (high - low)
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, up, strict=True))
-    dots = "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="#1f5fa8"/>' for a, b in zip(across, up, strict=True))
-    labels = "".join(f'<text x="{a:.1f}" y="{HEIGHT - 12:.0f}" text-anchor="middle">{n:.0f}</text>' for a, n in zip(across, x, strict=True))
+    low, high = np.floor(min(-1.0, float(y.min()))), np.ceil(max(3.0, float(y.max())))
+    across = LEFT + (WIDTH - LEFT - 20) * (x - x[0]) / max(x[-1] - x[0], 1.0)
+
+    def up(value: float) -> float:
+        return HEIGHT - BELOW - (HEIGHT - BELOW - ABOVE) * (value - low) / (high - low)
+
+    ticks = np.unique(np.round(np.linspace(low, high, 5)))
+    scale = "".join(
+        f'<line x1="{LEFT}" x2="{WIDTH - 20}" y1="{up(t):.1f}" y2="{up(t):.1f}" stroke="#8884"/>'
+        f'<text x="{LEFT - 6}" y="{up(t) + 4:.1f}" text-anchor="end">{power_of_ten(10.0**t)}</text>'
+        for t in ticks
+    )
+    points = " ".join(f"{a:.1f},{up(b):.1f}" for a, b in zip(across, y, strict=True))
+    dots = "".join(f'<circle cx="{a:.1f}" cy="{up(b):.1f}" r="3" fill="#2f7fc8"/>' for a, b in zip(across, y, strict=True))
+    labels = "".join(
+        f'<text x="{a:.1f}" y="{HEIGHT - BELOW + 18:.0f}" text-anchor="middle">{n:.0f}</text>' for a, n in zip(across, x, strict=True)
+    )
+    at = up(AN_EFFECT)
     return (
-        f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img" aria-label="evidence over poses">'
-        f'<line x1="{MARGIN}" x2="{WIDTH - MARGIN}" y1="{threshold:.1f}" y2="{threshold:.1f}" stroke="#a33" stroke-dasharray="4 3"/>'
-        f'<text x="{MARGIN}" y="{threshold - 4:.1f}">an effect: 100 : 1</text>'
-        f'<polyline points="{points}" fill="none" stroke="#1f5fa8" stroke-width="2"/>{dots}{labels}'
-        f'<text x="{WIDTH / 2:.0f}" y="{HEIGHT - 1:.0f}" text-anchor="middle">poses; log10 of the evidence against none</text></svg>'
+        f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img" aria-label="evidence for an effect over the number of poses">{scale}'
+        f'<line x1="{LEFT}" x2="{WIDTH - 20}" y1="{at:.1f}" y2="{at:.1f}" stroke="#c44" stroke-dasharray="4 3"/>'
+        f'<text x="{LEFT + 4}" y="{at - 4:.1f}">an effect: 100 : 1</text>'
+        f'<polyline points="{points}" fill="none" stroke="#2f7fc8" stroke-width="2"/>{dots}{labels}'
+        f'<text x="{WIDTH / 2:.0f}" y="{HEIGHT - 6:.0f}" text-anchor="middle">poses measured</text>'
+        f'<text transform="translate(14 {(HEIGHT - BELOW) / 2:.0f}) rotate(-90)" text-anchor="middle">odds of an effect</text></svg>'
     )

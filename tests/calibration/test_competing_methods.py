@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import scanner_cell
 
-from mbcacq.calibration import calibrate as calibration
+from mbcacq.calibration import competing_methods
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.competing_methods import HeldOutComparison, compared_on_held_out, plain_least_squares
 from mbcacq.errors import CalibrationError
@@ -106,7 +106,7 @@ def test_plain_least_squares_is_where_the_sum_of_squares_is_least(shaky):
 def test_the_better_method_is_what_is_published_and_said(shaky, monkeypatch, chosen):
     names = ("the weighted adjustment", chosen)
     decided = HeldOutComparison(chosen, {name: np.full(5, rms) for name, rms in zip(names, (2.0, 1.0), strict=True)})
-    monkeypatch.setattr(calibration, "compared_on_held_out", lambda *given: decided)
+    monkeypatch.setattr(competing_methods, "compared_on_held_out", lambda *given: decided)
     found = calibrate(shaky.observations, CalibrationOptions(refuse=False))
     assert f"{chosen} predicts held-out poses better (1.000 mm rms against 2.000 mm" in found.extra["warnings"][0]
     assert found.extra["competing_methods"]["chosen"] == chosen

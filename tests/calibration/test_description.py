@@ -7,12 +7,12 @@ import pytest
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.description import wrong_descriptions
-from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
+from mbcacq.workflow.diagnose import diagnose
 
 POSES = 24
 ROWS = np.array(  # theta deg, d, a, alpha deg: an arm with offsets at the shoulder and the elbow
@@ -47,6 +47,16 @@ def tracked():
     numbers = np.arange(POSES)
     xyz = target[:, :3, 3] + rng.normal(0, 0.02, (POSES, 3))
     return Observations(cell, numbers, np.zeros(POSES, int), q, numbers, np.zeros(POSES, int), xyz, rotation=target[:, :3, :3])
+
+
+def test_rows_are_shifted_before_some_of_them_are_chosen(tracked):
+    """Of 130 poses 60 are fitted; a shift among those would be a shift by two rows."""
+    rng = np.random.default_rng(8)
+    q = np.radians([0, -80, 90, 0, 20, 0] + rng.uniform(-60, 60, (130, 6)))
+    target = se3.inverse(se3.transform(se3.rotation_exp(np.array([0.1, -0.2, 2.0])), np.array([2500.0, -700, 300]))) @ frames(q)
+    numbers = np.arange(130)
+    many = Observations(tracked.cell, numbers, np.zeros(130, int), np.roll(q, 3, axis=0), numbers, np.zeros(130, int), target[:, :3, 3])
+    assert wrong_descriptions(many)[0].what == "each measurement belonging to the pose 3 rows on"
 
 
 MISTAKES = [

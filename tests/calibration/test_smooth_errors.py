@@ -124,12 +124,12 @@ def test_what_wanders_is_not_sought_where_its_functions_are_too_few_for_the_pose
     whole, _ = shared_by_neighbours(0.95, 8e-5, 0)
     obs, options = whole.select(np.arange(whole.n_poses) < 48), CalibrationOptions(refuse=False)
     alone = with_random_links(adjust_recording(obs, options, links_follow=True))
-    found = with_discrepancy.with_discrepancy(obs, options, alone)
+    found = with_discrepancy.with_discrepancy(alone)
     assert found is not None
-    assert found.wander_rad is not None
+    assert "wander_rad" in found.extra["discrepancy"]
     monkeypatch.setattr(discrepancy, "OPTIONS", replace(discrepancy.OPTIONS, wander_poses=obs.n_poses - 1))
-    found = with_discrepancy.with_discrepancy(obs, options, alone)
-    assert found is None or found.wander_rad is None
+    found = with_discrepancy.with_discrepancy(alone)
+    assert found is None or "wander_rad" not in found.extra["discrepancy"]
 
 
 def test_independent_errors_do_not_wander():

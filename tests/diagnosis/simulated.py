@@ -11,6 +11,7 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect import Candidate, StandstillRows, plain_report
+from mbcacq.effects.support import with_drives_for
 from mbcacq.estimation import forward_model, initial_guess
 from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import Part, accumulate, term
@@ -162,12 +163,19 @@ def nominal_state(obs: Observations) -> CellState:
 
 
 def observe(
-    template: Observations, seed: int, effects=(), outliers: float = 0.0, joint_noise: float = JOINT_NOISE, arm: int | None = None
+    template: Observations,
+    seed: int,
+    effects=(),
+    outliers: float = 0.0,
+    joint_noise: float = JOINT_NOISE,
+    arm: int | None = None,
+    drives: bool = True,
 ) -> Observations:
     """The poses of a recording measured again in another cell.
 
     effects: [(name, where, coefficients, hyper)] of the catalogue, put into the forward model; or functions of the context that
     return displacements. outliers: share of centres that are off by millimetres. arm: seed of the arm's errors, of one arm on several days.
+    drives: whether the robot file states the drives by which its joints can have these effects.
     """
     rng = np.random.default_rng(seed)
     obs = template
@@ -198,6 +206,11 @@ def observe(
     xyz = seen.xyz + rng.normal(0, 1, obs.xyz.shape) * (POINT_NOISE if obs.cell.noise_mm is None else obs.cell.noise_mm)
     wrong = rng.random(len(xyz)) < outliers
     xyz[wrong] += rng.normal(0, 3.0, (int(wrong.sum()), 3))
+    if drives:
+        arm_of = obs.cell.robot
+        for name, where, *_ in (one for one in effects if not callable(one)):
+            arm_of = with_drives_for(arm_of, name, tuple(where))
+        obs = replace(obs, cell=replace(obs.cell, robot=arm_of))
     if seen.rotation is None:
         return replace(obs, xyz=xyz)
     return replace(obs, xyz=xyz, rotation=se3.rotation_exp(rng.normal(0, TURN_NOISE, xyz.shape)) @ seen.rotation)

@@ -7,6 +7,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import unmodelled
 
@@ -45,6 +46,15 @@ def test_orders_of_two_gears_explain_nearly_all(reported):
     assert sorted(reported.effects[0].parameters["A1.order"].value) == pytest.approx([13.4, 23.0], abs=0.1)
 
 
+def test_halves_that_share_no_pose_show_both_gears_again(reported):
+    found = {one.at: one for one in reported.effects[0].found_again}
+    assert set(found) == {"A1", "A3"}
+    assert all((one.found_in, one.parts, one.disjoint) == (2, 2, True) for one in found.values())
+    for half in found["A3"].values["A3.order"]:
+        assert half.value == pytest.approx(15.1, abs=0.1)
+    assert all(one.determined for one in reported.effects[0].orders)
+
+
 def test_several_orders_of_a_joint_are_one_location(reported):
     locations = [(m.at, m.depends_on) for m in reported.mismatch]
     assert locations[0] == ("A1", "q1")
@@ -54,7 +64,7 @@ def test_several_orders_of_a_joint_are_one_location(reported):
 
 def test_noise_alone_is_no_random_effect(plan):
     """In a long recording random effects may stand at all locations, but only where their evidence outweighs their prior."""
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 152)))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 152)))
 
     assert verdict_of(found) == "none"
     assert found.empty

@@ -1,13 +1,13 @@
 """Periodic errors that a recording shows in part: over a quarter of the period, or at few angles."""
 
-import re
-
 import numpy as np
 import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.model_fit import fit_model, prepare
+from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.output.repetition import sentences
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.forward_model import Displacements
 
 AMPLITUDE, ORDER = 1.2e-3, 4.0
@@ -46,11 +46,15 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
 
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("gear_transmission_error", ("A4",))
-    (said,) = [note for note in found.notes if "looks like order" in note]
-    orders = [float(order) for order in re.findall(r"([0-9.]+) \(odds", said)]
-    assert len(orders) > 1
-    for order in (effect.parameters["A4.order"].value, *orders):
-        assert min((order - 7) % 24, (order + 7) % 24, (7 - order) % 24, (-7 - order) % 24) < 0.3
+    assert "A4.order" not in effect.parameters
+    assert [one.at for one in effect.orders] == ["A4"] * len(effect.orders)
+    assert len(effect.orders) > 3
+    assert not any(one.determined for one in effect.orders)
+    for one in effect.orders:
+        assert min((one.order - 7) % 24, (one.order + 7) % 24, (7 - one.order) % 24, (-7 - one.order) % 24) < 0.3
+    rms = effect.parameters["A4.rms_deg"]
+    assert abs(rms.value - np.degrees(np.hypot(3e-4, 2e-4)) / np.sqrt(2)) < 3 * rms.std
+    assert any(line.startswith("A4: the order is not determined (between") for line in sentences(effect))
 
 
 def test_order_and_amplitude_of_half_a_period_are_uncertain_together(postures):

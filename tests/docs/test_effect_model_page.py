@@ -13,8 +13,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import DescribedPart, cosine, linear, of, sine, times
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import RobotModel
 
@@ -69,6 +70,8 @@ def result(postures: np.ndarray) -> dict:
     sags = [of("q2", "cosine", -1.5, 1.5, 3), times(of("q4", "sigmoid", 0.2, 0.3), of("q2", "distance", -0.1))]
     bump = named("unknown", [DescribedPart("frame", 3, 3, tuple(sags))], [2e-4, 1e-4])
     found.append(replace(bump, sigma=np.full(2, 1e-4), clamped=("q2", "q4")))
+    slow = named("unknown", [DescribedPart("joint", 0, 0, (sine("q1", 1.0), cosine("q1", 2.0)))], [2e-4, 1e-4])
+    found.append(replace(slow, sigma=np.full(2, 1e-4), clamped=("q1",)))
     grown = [replace(g, coefficients=g.sigma * rng.standard_normal(g.k)) for g in found if g is not None]
     errors = rng.normal(0, [1e-3, 0.3, 0.3, 1e-3, 1e-3], (6, 5))
     chains = {"nominal": arm.chain, "calibrated": arm.chain.with_errors(errors)}

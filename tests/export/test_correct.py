@@ -13,8 +13,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
+from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
@@ -252,3 +253,17 @@ def test_tables_that_cannot_be_meant_are_refused(tmp_path, text, words):
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(ConfigError, match=words):
         correct(tmp_path / "p.csv", result())
+
+
+@pytest.mark.parametrize(
+    ("file", "robot", "language"),
+    [("a.src", "Universal Robots UR5e", "KRL"), ("a.mod", "KUKA KR 10 R1100", "RAPID"), ("a.ls", "UR10", "LS"), ("a.script", "ABB IRB 1200", "URScript")],
+)  # fmt: skip
+def test_a_program_of_another_make_is_refused(file, robot, language, tmp_path):
+    program = tmp_path / file
+    program.write_text(PROGRAM)
+    content = result()
+    content["robot"]["name"] = robot
+    with pytest.raises(ConfigError, match=f"{language} is the language of .* arms, and this result is of '{robot}'"):
+        correct(program, content)
+    assert [path.name for path in tmp_path.iterdir()] == [file]

@@ -5,7 +5,9 @@ import socket
 import struct
 
 import msgpack
+import numpy as np
 import pytest
+from gopxl_scene import tilted_plane
 from mbcacq_gocator.gopxl import frames, gdp
 
 SCANNER = "/scan/engines/LMILaserLineProfiler/scanners/scanner-0"
@@ -186,3 +188,58 @@ def test_a_job_is_saved_renamed_fetched_brought_and_deleted(client):
     assert client.ask("read", "/jobs")["loadedJob"] == "brought"
     client.ask("delete", "/jobs/files/other")
     assert "other" not in names()
+
+
+def test_configure_sensor_switches_a_digital_output(client, sensor):
+    outputs = "/controls/digitalOutput"
+    client.ask("update", f"{outputs}/", {"enabled": True})
+    assert "_embedded" not in client.ask("read", f"{outputs}/devices")
+    device = client.ask("read", f"{outputs}/availableDevices")["devices"][0]
+    client.ask("create", f"{outputs}/devices", device)
+    (item,) = client.ask("read", f"{outputs}/devices")["_embedded"]["item"]
+    port = item["_links"]["self"]["href"] + "/ports/port-0"
+    client.ask("update", port, {"parameters": {"triggerEvent": 2}})
+    assert client.ask("read", port)["parameters"]["triggerEvent"] == 2
+    client.ask("call", f"{port}/commands/trigger", {"parameter": {"target": 0, "value": True}})
+    assert sensor.resources.digital_output.pulses == [(port, {"parameter": {"target": 0, "value": True}})]
+
+
+def test_align_sensor_reads_the_transform_behind_the_sensor(client):
+    client.ask("call", f"{SCANNER}/commands/align", {})
+    assert client.ask("read", f"{SCANNER}/alignment")["alignState"] == 1
+    assert set(client.ask("read", f"{SENSOR}/transform")["transform"]) == {"x", "y", "z", "xAngle", "yAngle", "zAngle"}
+
+
+def test_discover_backup_layout_and_subscriptions_find_their_keys(client):
+    (seen,) = client.ask("read", "/scan/visibleSensors/")["sensors"]
+    assert seen["isLocal"] is True
+    assert client.ask("call", "/system/commands/archive", {"contents": ["global", "allJobs"]})["content"]
+    (scanner,) = client.ask("read", "/scan/engines/LMILaserLineProfiler", expandLevel=1)["_embedded"]["go:scanner"]
+    assert scanner["_links"]["self"]["href"].endswith("/scanners/scanner-0")
+    assert client.ask("read", f"{SCANNER}/layout")["grid"]["sensors"][0]["sensorId"] == "sensor-0"
+
+
+def test_resource_schema_says_types_and_limits(client):
+    schema = client.ask("read", SENSOR, includeSchema=True)["_schema"]
+    exposure = schema["properties"]["parameters"]["properties"]["exposureSettings"]["properties"]["singleExposure"]
+    assert (schema["type"], exposure["type"], exposure["minimum"], exposure["maximum"]) == ("object", "integer", 100.0, 100_000.0)
+    state = client.ask("read", "/system", includeSchema=True)["_schema"]["properties"]["runState"]
+    assert (state["readOnly"], state["enum"]) == (True, [0, 1, 2])
+
+
+def test_receive_measurement_gets_the_output_of_a_tool(client):
+    tool = "tools:ProfileBoundingBox-0:outputs:X"
+    message = received(client, tool, tool)[tool]
+    assert message[4] == 19  # a measurement
+    body = gdp.parse_common(memoryview(message)).body
+    value, decision = struct.unpack_from("<dB", message, body)
+    xyz = tilted_plane().xyz
+    x = -xyz[len(xyz) // 2, :, 0]  # the sensor's x runs the other way
+    assert (value, decision) == (pytest.approx((np.nanmin(x) + np.nanmax(x)) / 2), 1)
+
+
+def test_a_refusal_carries_what_the_samples_print(client):
+    client.sock.sendall(frames.request("read", f"{SCANNER}/nothing", None, {}))
+    refused = client.message()
+    assert refused["status"] == -999
+    assert refused["payload"]["errors"][0] == {"status": -999, "description": "not found"}

@@ -211,3 +211,71 @@ def test_two_files_with_times_and_a_folder_of_matrices(tmp_path):
         np.savetxt(folder / f"target{k:02d}.txt", c)
     obs = read_hand_eye_files([folder], TableOptions()).observations
     np.testing.assert_allclose(mbcacq.calibrate(obs, ALONE).state.T_flange_scanner, X, atol=5e-3)
+
+
+def vectors(T):
+    return T[:, :3, 3] / 1e3, rotations(T).as_rotvec()
+
+
+@pytest.mark.parametrize("camera", ["tvec_{},rvec_{}", "board_tvec_{},board_rvec_{}", "tvec[{}],rvec[{}]", "cam_t{},cam_rvec_{}"])
+def test_vectors_of_opencv_are_of_the_camera_beside_a_flange_of_plain_names(camera, tmp_path):
+    F, C = poses()
+    place, turn = camera.split(",")
+    numbered = "012" if "[" in camera else "xyz"
+    header = ",".join(["x,y,z,rx,ry,rz", *(place.format(c) for c in numbered), *(turn.format(c) for c in numbered), "note"])
+    understood = read_loose_table(write(tmp_path / "a.csv", header, *vectors(F), *vectors(C), np.arange(len(F))))
+    obs = understood.observations
+    np.testing.assert_allclose(obs.cell.robot.chain.flange(obs.q), F, atol=2e-4)
+    np.testing.assert_allclose(obs.rotation, C[:, :3, :3], atol=1e-6)
+    assert "not used: note (of no use here)" in understood.sentences
+
+
+def test_an_orientation_without_an_owner_is_asked_about(tmp_path):
+    F, C = poses()
+    header = "qx,qy,qz,qw,flange_x,flange_y,flange_z,target_x,target_y,target_z"
+    with pytest.raises(ConfigError, match="are an orientation, and nothing says whose; name them flange_"):
+        read_loose_table(write(tmp_path / "a.csv", header, rotations(F).as_quat(), F[:, :3, 3], C[:, :3, 3]))
+
+
+MATRIX = ",".join(f"{thing}_T_{i}{j}" for thing in ("robot", "target") for i in range(4) for j in range(4))
+
+
+@pytest.mark.parametrize("robot_by_rows", [True, False])
+@pytest.mark.parametrize("target_by_rows", [True, False])
+def test_matrices_are_read_by_rows_or_columns_as_their_last_row_says(robot_by_rows, target_by_rows, tmp_path):
+    F, C = poses()
+    written = [T if by_rows else np.swapaxes(T, 1, 2) for T, by_rows in ((F, robot_by_rows), (C, target_by_rows))]
+    obs = read_loose_table(write(tmp_path / "a.csv", MATRIX, *(T.reshape(-1, 16) for T in written))).observations
+    np.testing.assert_allclose(obs.cell.robot.chain.flange(obs.q), F, atol=2e-4)
+    np.testing.assert_allclose(obs.xyz, C[:, :3, 3], atol=1e-6)
+
+
+def test_a_matrix_whose_last_row_is_none_is_refused_in_its_line(tmp_path):
+    F, C = poses()
+    F[4, 3] = (0.0, 0.5, 0.0, 1.0)
+    with pytest.raises(ConfigError, match="a.csv:6: column robot_T_30: the last row of the matrix is not 0 0 0 1"):
+        read_loose_table(write(tmp_path / "a.csv", MATRIX, F.reshape(-1, 16), C.reshape(-1, 16)))
+
+
+BOTH = "robot_x_mm,robot_y_mm,robot_z_mm,robot_qx,robot_qy,robot_qz,robot_qw,target_x_mm,target_y_mm,target_z_mm,target_qx,target_qy,target_qz,target_qw"
+
+
+def test_rows_that_do_not_belong_together_are_said_to_be_so(tmp_path):
+    """A shift is named; an order at random fits nothing, whatever is said beside it."""
+    F, C = poses()
+    columns = [(T[:, :3, 3], rotations(T).as_quat()) for T in (F, C)]
+    shifted = write(tmp_path / "a.csv", BOTH, *columns[0], *(np.roll(part, 3, axis=0) for part in columns[1]))
+    with pytest.raises(ConfigError, match="each measurement belonging to the pose 3 rows back the residual falls from"):
+        read_loose_table(shifted)
+    order = np.random.default_rng(5).permutation(len(F))
+    mixed = write(tmp_path / "b.csv", BOTH, *columns[0], *(part[order] for part in columns[1]))
+    for options in (None, TableOptions(measurement="artefact_in_scanner")):
+        with pytest.raises(ConfigError, match=r"no reading fits better than .* mm \(rows paired at random"):
+            read_loose_table(mixed, options)
+
+
+def test_measurements_that_never_change_are_no_measurements(tmp_path):
+    F, C = poses()
+    C[:] = C[0]
+    with pytest.raises(ConfigError, match="all 20 measurements are the same to the last digit"):
+        read_loose_table(write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat()))

@@ -101,3 +101,16 @@ def test_a_point_out_of_all_proportion_leaves_the_circle_where_it_is():
     found = circle_in(np.vstack([points, [1e25, 300.0]]), RADIUS)
     assert found is not None
     assert np.allclose([*found.centre, found.radius], [0.0, 300.0, 12.0], atol=1e-6)
+
+
+def test_a_diameter_that_the_profiles_contradict_is_refused_with_what_they_say(shown, tmp_path):
+    flange, points = tmp_path / "flange.csv", tmp_path / "points.csv"
+    flange.write_text(f"profile,{KUKA}\n" + "".join(f"{k},{as_kuka(T)}\n" for k, T in enumerate(shown.reported)))
+    rows = "".join(f"{k},{x:.5f},{z:.5f}\n" for k, profile in enumerate(shown.points) for x, z in profile)
+    points.write_text("profile,x_mm,z_mm\n" + rows)
+    with pytest.raises(ConfigError, match=r"the profiles say a diameter of (29\.9|30\.0)\d ± .* mm \(k = 2\), and --diameter 30.6") as said:
+        read_hand_eye_files([flange, points], TableOptions(diameter_mm=30.6))
+    value, expanded = (float(text) for text in str(said.value).split("diameter of ")[1].split(" mm")[0].split(" ± "))
+    assert abs(value - 2 * RADIUS) < 1.5 * expanded < 0.3
+    sentence = read_hand_eye_files([flange, points], TableOptions(diameter_mm=2 * RADIUS)).sentences[-1]
+    assert sentence.startswith("the profiles alone say a diameter of ")

@@ -8,6 +8,7 @@ from shown_output import not_printed
 from mbcacq import load_observations
 from mbcacq.cli.data import command
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import in_seconds
 from mbcacq.geometry import se3
 from mbcacq.recording.datasets.loose_table import robot_of
 from mbcacq.recording.datasets.merge import clock_delay, even_times, merge_logs
@@ -125,7 +126,39 @@ def as_api(t, xyz):
     yield from (f"{a:.4f},{x / 25.4:.6f},{y / 25.4:.6f},{z / 25.4:.6f}" for a, (x, y, z) in zip(t, xyz, strict=True))
 
 
-WRITTEN = [(as_rtde, as_spatialanalyzer), (as_rtde_poses, as_leica), (as_trace, as_api), (as_scope, as_leica)]
+EPOCH_NS = 1_700_000_000_000_000_000  # of the clock of a computer that runs ROS
+
+
+def as_ros_joints(t, q):
+    """As ``rostopic echo -p /joint_states`` of a Universal Robot, whose first three joints come in the order of the alphabet."""
+    order, names = [2, 1, 0, 3, 4, 5], ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    yield "%time,field.header.seq," + ",".join(f"field.name{i}" for i in range(6)) + "," + ",".join(f"field.position{i}" for i in range(6))
+    said = ",".join(f"{names[i]}_joint" for i in order)
+    for k, (a, row) in enumerate(zip(t, q, strict=True)):
+        yield f"{EPOCH_NS + round(1e9 * a)},{k},{said}," + ",".join(f"{row[i]:.7f}" for i in order)
+
+
+def as_ros_point(t, xyz):
+    yield "%time,field.header.seq,field.point.x,field.point.y,field.point.z"
+    yield from (
+        f"{EPOCH_NS + round(1e9 * a)},{k},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}"
+        for k, (a, (x, y, z)) in enumerate(zip(t, xyz, strict=True))
+    )
+
+
+def as_euroc(t, xyz):
+    yield "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]"
+    yield from (f"{EPOCH_NS + round(1e9 * a)},{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f}" for a, (x, y, z) in zip(t, xyz, strict=True))
+
+
+WRITTEN = [
+    (as_ros_joints, as_ros_point),
+    (as_ros_joints, as_euroc),
+    (as_rtde, as_spatialanalyzer),
+    (as_rtde_poses, as_leica),
+    (as_trace, as_api),
+    (as_scope, as_leica),
+]
 
 
 @pytest.mark.parametrize(("arm", "instrument"), WRITTEN, ids=lambda write: write.__name__)
@@ -158,6 +191,25 @@ def test_what_the_speeds_do_not_show_is_refused(tmp_path, motion):
     arm.write_text("\n".join(line for line in arm.read_text().splitlines()[:10]) + "\n")
     with pytest.raises(ConfigError, match="a log of a motion has at least"):
         merge_logs(arm, tracker, {})
+
+
+def test_times_that_no_motion_has_are_refused_and_clocks_of_computers_are_read_by_their_size(tmp_path, motion):
+    t = 1.7e9 + np.arange(5)
+    for factor in (1, 1e3, 1e6, 1e9):
+        np.testing.assert_allclose(in_seconds(t * factor), t, rtol=1e-15)
+    np.testing.assert_array_equal(in_seconds(np.arange(5) * 1e3), np.arange(5) * 1e3)
+    arm, tracker = write_logs(tmp_path, motion, 0.0, clock=lambda s: repr(round(1e9 * s)))
+    with pytest.raises(ConfigError, match="s from row to row, which cannot be s; name the column with its unit"):
+        merge_logs(arm, tracker, {})
+
+
+def test_exchanged_axes_are_said_with_the_words_of_calibrate(tmp_path, motion):
+    arm, tracker = write_logs(tmp_path, motion, 0.0)
+    arm.write_text(arm.read_text().replace("J1,J2,J3", "J3,J2,J1"))
+    command_line = ["merge", str(arm), str(tracker), "--robot", "ur10e", "--eye-to-hand", "--out", str(tmp_path / "set")]
+    said = CliRunner().invoke(command, command_line).exception
+    assert "with the columns of A1 and A3 exchanged the residual falls from" in str(said)
+    assert not (tmp_path / "set").exists()
 
 
 def test_even_times_stay_as_they_are():

@@ -56,6 +56,21 @@ def test_one_arm_in_many_forms(read, text):
     assert read(text)[0] == pytest.approx(read(PLAIN)[0], abs=1e-9)
 
 
+def test_lengths_of_nearly_parallel_axes_may_be_large_and_cancel(read):
+    """Factory rows of a UR: d of axes 2, 3, 4 are free to slide along almost the same line; the arm reaches as far as without."""
+    tilt, slide = 1e-4, 500e3
+    turned = float(np.degrees(tilt))
+    rows = [[0, 89.2, 0, 90], [0, slide, -425, turned], [0, -2 * slide, -392, -2 * turned], [0, slide + 109, 0, 90]]
+    text = "theta_deg,d_{u},a_{u},alpha_deg\n" + "".join(
+        f"{t},{d},{a},{w!r}\n" for t, d, a, w in [*rows, [0, 94.7, 0, -90], [0, 82.3, 0, 0]]
+    )
+    assert len(read(text.format(u="mm"))[0]) == 6
+    for unit, factor in (("m", 1.0), ("mm", 1e-3)):  # mm said to be m, and m said to be mm
+        wrong = "theta_deg,d_{u},a_{u},alpha_deg\n" + "".join(f"{t},{factor * d},{factor * a},{w!r}\n" for t, d, a, w in rows)
+        with pytest.raises(ConfigError, match="the flange of these rows is .* from the base, which looks like"):
+            read(wrong.format(u=unit))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -229,3 +229,23 @@ def test_a_folder_that_is_missing_and_libraries_that_are(runs, monkeypatch):
     outcome = CliRunner().invoke(app, ["serve", str(runs)])
     assert outcome.exit_code == 2
     assert "pip install 'mbcacq[serve]'" in outcome.output
+
+
+def test_of_many_runs_a_page_is_shown_with_search_kind_and_history(client, runs):
+    for day in range(1, 29):
+        for hour in (6, 18):
+            folder = runs / f"2026-02-{day:02d}T{hour:02d}-00-00_{'check-' if hour == 18 else ''}cell-b"
+            folder.mkdir()
+            (folder / "result.json").write_bytes((runs / "monday" / "result.json").read_bytes())
+    text = get(client, "/").text
+    assert text.count('type="checkbox"') == 50
+    assert "page 1 of 2" in text
+    assert "History of cell-b" in text
+    assert get(client, "/?page=2").text.count('type="checkbox"') == 57 - 50
+    assert get(client, "/?q=2026-02-07").text.count('type="checkbox"') == 2
+    assert get(client, "/?kind=check").text.count('type="checkbox"') == 28
+    history = get(client, "/?cell=cell-b").text
+    assert history.count("<circle") == 50
+    assert "56 recordings of cell-b" in history
+    assert "no run here that fits" in get(client, "/?q=nowhere").text
+    assert get(client, "/?page=-1&kind=<b>&q=%00").status_code == 200

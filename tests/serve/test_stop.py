@@ -122,7 +122,7 @@ def test_in_a_browser_the_button_stops_the_run_and_the_page_says_so(runs, measur
             browser.call("Page.navigate", url=home)
             until("document.readyState === 'complete' && document.querySelector('table.runs')")
             assert browser.run("document.documentElement.scrollWidth <= 390")
-            browser.run("Array.from(document.querySelectorAll('td.name a')).find(a => a.textContent === 'now').click()")
+            browser.run("Array.from(document.querySelectorAll('a')).find(a => a.textContent === 'now').click()")
             until("document.readyState === 'complete' && document.getElementById('stop')")
             assert browser.run("document.documentElement.scrollWidth <= 390")
             browser.run("document.getElementById('stop').click()")

@@ -1,5 +1,7 @@
 """UR arms over RTDE: literal bytes of the guide, what stops an arm is named, and a client by others accepts the fake controller."""
 
+import socket
+import struct
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from mbcacq_fakes.protocols.rtde.controller import WATCHDOG_S, start_in_cell
 from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_ur import wire
 from mbcacq_ur.driver import UrRtdeRobot
+from scipy.spatial.transform import Rotation
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MotionLimits, ProtocolError, SafetyStop
 
@@ -131,26 +134,120 @@ def test_a_target_beyond_the_limits_moves_nothing(controller):
         assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
 
 
-CLIENT = """
+RECEIVES = """
 import rtde_receive
 client = rtde_receive.RTDEReceiveInterface("127.0.0.77")
 print(*client.getActualQ(), client.getRobotMode(), int(client.isProtectiveStopped()))
 client.disconnect()
 """
+SWITCHES = """
+import time, rtde_io, rtde_receive
+io, client = rtde_io.RTDEIOInterface("127.0.0.77"), rtde_receive.RTDEReceiveInterface("127.0.0.77")
+assert io.setStandardDigitalOut(3, True) and io.setSpeedSlider(0.25) and io.setInputIntRegister(20, 7)
+while client.getTargetSpeedFraction() != 0.25 or not client.getDigitalOutState(3):
+    time.sleep(0.01)
+print(*client.getActualTCPPose())
+"""
 
 
-@pytest.mark.parametrize(("bits", "stopped"), [(1, 0), (4, 1)])
-def test_a_client_by_others_accepts_the_fake(bits, stopped):
-    """ur_rtde knows one port only, so the fake stands at a loopback address of its own; it waits without letting go of its interpreter."""
+@pytest.fixture
+def said_by():
+    """What a program that uses ur_rtde prints. It knows one port only, so the fake stands at a loopback address of its own."""
     if sys.platform != "linux":
         pytest.skip("127.0.0.2 and above are loopback on Linux only")
     pytest.importorskip("rtde_receive")
+
+    def said(program):
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=900)
+        assert done.returncode == 0, done.stderr
+        return [float(number) for number in done.stdout.split()]
+
+    return said
+
+
+@pytest.mark.parametrize(("bits", "stopped"), [(1, 0), (4, 1)])
+def test_a_client_by_others_accepts_the_fake(said_by, bits, stopped):
     with FakeUrController(start_deg=HOME_DEG, host="127.0.0.77", port=30004, safety_bits=bits):
-        said = subprocess.run([sys.executable, "-c", CLIENT], capture_output=True, text=True, timeout=900)
-    assert said.returncode == 0, said.stderr
-    *q, mode, protective = map(float, said.stdout.split())
+        *q, mode, protective = said_by(RECEIVES)
     assert np.degrees(q) == pytest.approx(HOME_DEG)
     assert (mode, protective) == (7, stopped)
+
+
+def test_a_client_by_others_switches_outputs_and_the_slider_while_another_one_listens(said_by):
+    with FakeUrController(start_deg=HOME_DEG, host="127.0.0.77", port=30004, realtime=True) as fake:
+        pose = said_by(SWITCHES)
+        assert (fake.outputs, fake.inputs["input_int_register_20"]) == (1 << 3, 7)
+    # At home the forearm lies level, and the tool points down: shoulder and upper arm above the base, forearm and flange beside it.
+    assert 1e3 * np.array(pose[:3]) == pytest.approx([-571.55 - 119.85, -174.15, 180.7 + 612.7 - 116.55])
+
+
+@pytest.fixture
+def conversation(controller):
+    """Sends a package as bytes in hexadecimal, and gives the answer as bytes."""
+    with socket.create_connection(("127.0.0.1", controller.port)) as link:
+        link.settimeout(20.0)
+
+        def ask(sent):
+            link.sendall(sent)
+            head = link.recv(3, socket.MSG_WAITALL)
+            return head + link.recv(struct.unpack(">H", head[:2])[0] - 3, socket.MSG_WAITALL)
+
+        yield ask
+
+
+def test_documented_variables_have_the_guide_s_types(conversation):
+    names = b"external_force_torque,output_bit_register_64,input_bit_registers32_to_63,encoder0_raw,tool_output_mode,payload_cog,dexterity"
+    answer = conversation(struct.pack(">HBd", 11 + len(names), ord("O"), 125.0) + names)
+    assert answer[2:] == b"O\x01VECTOR6D,BOOL,UINT32,INT32,UINT8,VECTOR3D,DOUBLE"
+
+
+def test_a_refused_recipe_ends_no_conversation(controller, conversation):
+    controller.inject(in_use={"input_int_register_0"})
+    names = b"input_int_register_0,input_int_register_99"
+    assert conversation(struct.pack(">HB", 3 + len(names), ord("I")) + names)[2:] == b"I\x00IN_USE,NOT_FOUND"
+    assert conversation(bytes.fromhex("00 05 56 00 02")) == bytes.fromhex("00 04 56 01")
+
+
+def test_tcp_pose_at_zero_is_the_published_one_of_a_ur10e():
+    """All joints at zero: the arm is stretched along -x, the flange looks along -y."""
+    with FakeUrController(start_deg=[0.0] * 6) as fake:
+        pose = fake.tcp_pose()
+    assert 1e3 * np.array(pose[:3]) == pytest.approx([-612.7 - 571.55, -174.15 - 116.55, 180.7 - 119.85])
+    assert pose[3:] == pytest.approx([np.pi / 2, 0, 0])
+
+
+def test_tcp_speed_is_the_derivative_of_the_pose():
+    with FakeUrController(start_deg=HOME_DEG) as fake:
+        fake.arm.qd = np.array([0.1, -0.2, 0.3, 0.05, 0.2, -0.4])
+        before, speed = fake.tcp_pose(), fake.tcp_speed()
+        fake.arm.q = fake.arm.q + 1e-4 * fake.arm.qd
+        after = fake.tcp_pose()
+    assert speed[:3] == pytest.approx((np.array(after[:3]) - before[:3]) / 1e-4, abs=1e-4)
+    turned = Rotation.from_rotvec(after[3:]) * Rotation.from_rotvec(before[3:]).inv()
+    assert speed[3:] == pytest.approx(turned.as_rotvec() / 1e-4, abs=1e-4)
+
+
+def test_the_slider_acts_on_the_move_under_way():
+    with FakeUrController(start_deg=HOME_DEG) as fake:
+        target = np.radians(HOME_DEG + 30)
+        registers = dict(zip((f"input_double_register_{k}" for k in range(8)), [*target, 0.5, 2.0], strict=True))
+        fake.obey({**registers, "input_int_register_0": 1, "input_int_register_1": 1})
+        for _ in range(100):
+            fake.advance(0.002)
+        full = np.abs(fake.arm.qd).max()
+        fake.inject(speed_fraction=0.0)
+        for _ in range(200):
+            fake.advance(0.002)
+        stands = fake.arm.q
+        fake.advance(1.0)
+        assert full > 0.1
+        assert np.abs(fake.arm.qd).max() == 0
+        np.testing.assert_array_equal(fake.arm.q, stands)
+        assert fake.arm.moving
+        fake.inject(speed_fraction=1.0)
+        for _ in range(2000):
+            fake.advance(0.002)
+        assert np.degrees(fake.arm.q) == pytest.approx(HOME_DEG + 30)
 
 
 def test_the_controller_s_program_carries_version_and_payload():

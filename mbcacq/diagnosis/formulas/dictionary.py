@@ -18,8 +18,8 @@ from mbcacq.effects import functions
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import LEAN
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.effect_term import is_angle
 from mbcacq.effects.functions import Column, Product, cosine, linear, of, sine
+from mbcacq.effects.learnt_range import is_angle
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 
 

@@ -15,8 +15,8 @@ from mbcacq.diagnosis.nonparametric import basis_functions
 from mbcacq.diagnosis.nonparametric.basis_functions import Location, Shape
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect_term import is_angle
 from mbcacq.effects.functions import Column, Function, Product, evaluate
+from mbcacq.effects.learnt_range import is_angle
 
 LENGTHS = (0.2, 0.4, 0.8)  # rad, or of the largest moment: from a local bump to what few harmonics nearly are
 COMPARED = 30  # functions of each process, while these are compared

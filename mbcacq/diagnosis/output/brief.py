@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.output import text
+from mbcacq.diagnosis.output import repetition, text
 from mbcacq.diagnosis.output.figures import beyond_uncertainty
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect import ParameterEstimate
@@ -52,7 +52,8 @@ def effects_in_brief(effects: Sequence[EffectFound], excess: bool = True) -> lis
 def effect_in_brief(effect: EffectFound, excess: bool) -> list[str]:
     """One effect with its largest figures; those of several locations in a line each."""
     share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and not effect.trend else ""
-    head = f"  {effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}{share})"
+    again = f", {shown}" if (shown := repetition.in_short(effect)) else ""
+    head = f"  {effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}{share}{again})"
     if effect.trend:
         return [f"{head}: {effect.trend}"]
     if effect.shape is not None:

@@ -13,14 +13,15 @@ from scipy.special import chdtrc
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.found_again import Repetitions
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters, joined_parameters
+from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters, joined_parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.model.observations import Observations
@@ -33,22 +34,25 @@ SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 Ranked = tuple[bool, float, EffectFound]  # whether it stands in front, chi2 that it explains beyond all others, the effect
 
 
-def effects_by_contribution(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[EffectFound]:
+def effects_by_contribution(
+    full: ModelFit, contributions: Contributions, validation: CrossValidation, again: Repetitions
+) -> list[EffectFound]:
     """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
-    one (a wrong payload through elastic joints) stands in front of all others.
+    one (a wrong payload through elastic joints) stands in front of all others. again: whether parts of the recording show each of them.
     """
-    ranked = parametric_effects(full, contributions, validation) + unmodelled_effects(full, contributions, validation)
+    ranked = parametric_effects(full, contributions, validation, again) + unmodelled_effects(full, contributions, validation, again)
     return [effect for *_, effect in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 
-def parametric_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
-    """The effects gathered by name (several joints of one effect make one entry)."""
+def parametric_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation, again: Repetitions) -> list[Ranked]:
+    """The effects gathered by name: several joints of one effect make one entry, those where halves do not both show it another one."""
     model = full.model
-    grouped: dict[str, list[int]] = {}
+    grouped: dict[tuple[str, bool], list[int]] = {}
     for j, m in enumerate(model.members):
         name = m.candidate.name
         several = m.candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
-        grouped.setdefault(name if several else m.label, []).append(j)
+        repeats = m.label not in again or again[m.label].repeats
+        grouped.setdefault((name if several else m.label, repeats), []).append(j)
     out = list[Ranked]()
     for members in grouped.values():
         first = model.members[members[0]].candidate
@@ -61,6 +65,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, validation:
             held_out_gain=(removed := gain_left_out(validation, model, members)),
             held_out_gain_std=validation.gain_std(removed),
             depends_on=first.depends_on,
+            found_again=tuple(again[label] for label in dict.fromkeys(model.members[j].label for j in members) if label in again),
         )
         out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
     return out
@@ -68,9 +73,10 @@ def parametric_effects(full: ModelFit, contributions: Contributions, validation:
 
 def gain_left_out(validation: CrossValidation, model: EffectSet, members: list[int]) -> float:
     """Share of the held-out excess that an entry removes: an effect with entries at several locations has the entry at its own."""
-    first = model.members[members[0]].candidate
-    everywhere = sum(m.candidate.name == first.name for m in model.members) == len(members)
-    return validation.gain(first.name if everywhere else first.label)
+    name = model.members[members[0]].candidate.name
+    if sum(m.candidate.name == name for m in model.members) == len(members):
+        return validation.gain(name)
+    return min(sum(validation.gain(label) for label in {model.members[j].label for j in members}), 1.0)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
@@ -124,7 +130,7 @@ def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
     return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
 
 
-def unmodelled_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
+def unmodelled_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation, again: Repetitions) -> list[Ranked]:
     """One entry for each location of the unmodelled effects. In a long recording they act at all locations: there is one entry then, at the
     location of the largest evidence.
     """
@@ -143,6 +149,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
             held_out_gain=validation.unmodelled_gain,
             held_out_gain_std=validation.gain_std(validation.unmodelled_gain),
             depends_on=first.depends_on,
+            found_again=tuple(again[label] for label in [label_of(UNKNOWN, (first.location,))] if label in again),
         )
         return [(False, contributions.of(contributions.unmodelled), effect)]
     out = list[Ranked]()
@@ -158,6 +165,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
             held_out_gain=gain,
             held_out_gain_std=validation.gain_std(gain),
             depends_on=mine[0][1],
+            found_again=tuple(again[label] for label in [label_of(UNKNOWN, (at,))] if label in again),
         )
         out.append((False, contributions.of(contributions.groups_at(full, at)), effect))
     return out

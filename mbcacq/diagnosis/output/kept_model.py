@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
@@ -18,8 +17,9 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_angle, key_of, learnt_ranges
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of
 from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, periods_covered
+from mbcacq.effects.learnt_range import learnt_ranges, with_a_range
 from mbcacq.effects.unmodelled import unit_of
 from mbcacq.model.observations import Observations
 
@@ -64,18 +64,22 @@ def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:
 
 
 def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTerm]:
-    """The unmodelled effects of a hypothesis. Covariates are held at the end of their learnt range, but for angles that repeat."""
-    found, out = coefficients_of(hypothesis), list[EffectTerm]()
+    """The unmodelled effects of a hypothesis."""
+    found, out = hypothesis.solved, list[EffectTerm]()
     for m, own in zip(hypothesis.members, found.slices(), strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
-            held = (name for name in sorted(term.covariates) if not is_angle(name) or term.ranges[name].counts_turns)
-            out.append(replace(term, sigma=m.size * m.candidate.typical, clamped=tuple(held)))
+            out.append(replace(term, sigma=m.size * m.candidate.typical))
     return out
 
 
 def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coefficients: np.ndarray, std: np.ndarray) -> EffectTerm:
-    """A candidate at its hyper-parameter as a term."""
+    """A candidate at its hyper-parameter as a term.
+
+    Its covariates are held at the ends of the range in which it was learnt: beyond, it goes on as a constant, whatever its functions do.
+    A constant is what the zero of a joint or the place of a frame is as well, so it does not matter where the functions have their zero,
+    as it would if they faded. A periodic effect of the catalogue of which a period and more was seen is a law, and has no range.
+    """
     parts, k = candidate.parts(hyper), candidate.k
     values = {candidate.hyper.name: float(hyper)} if candidate.hyper is not None and hyper is not None else {}
     key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
@@ -93,7 +97,15 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
         variant=candidate.variant,
         hyper=values,
         ranges=learnt_ranges(here, parts),
+        clamped=limited(here, candidate, hyper),
     )
+
+
+def limited(here: Covariates, candidate: Candidate, hyper: float | None) -> tuple[str, ...]:
+    """The covariates beyond whose learnt range a candidate is held."""
+    named = {name for part in candidate.parts(hyper) for name in part.covariates}
+    law = candidate.periodic and candidate.name != UNKNOWN and not partly_covered(here, candidate, hyper)
+    return with_a_range(named - {candidate.depends_on} if law else named)
 
 
 def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) -> tuple[str, ...]:

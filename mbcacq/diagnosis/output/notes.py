@@ -7,21 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
-from mbcacq.diagnosis.evidence.between_sets import LEAST_APART
-from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import NoiseDependence
-from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import FADING, Candidate
+from mbcacq.effects.effect import FADING
 from mbcacq.effects.functions import periods_covered
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.options import Noise
@@ -80,9 +77,9 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         return []
     reported = reported_hypothesis(full.evidence)
     return [
+        *dict.fromkeys(m.candidate.support.refused for m in reported.unmodelled if m.candidate.support.refused),
         *other_covariates(full.evidence, reported),
         *partial_periods(setup, full),
-        *aliased(setup, reported),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
         *bent_artefacts(setup.linear.obs, effects),
@@ -90,7 +87,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     ]
 
 
-def other_covariates(fit: RankedSets, reported: Hypothesis) -> list[str]:
+def other_covariates(fit: EvidenceFit, reported: Hypothesis) -> list[str]:
     """One sentence for each reported effect that depends on another recorded quantity about as probably (two thermometers, say)."""
     own = {m.label: m.candidate.depends_on for m in reported.catalogued}
     found: dict[tuple[str, str], float] = {}
@@ -200,54 +197,6 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
                 f"smooth function of {name} from {low:.0f} to {high:.0f}°, and is not shown to repeat beyond"
             )
     return out
-
-
-def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
-    """A sentence for each reported order of a gear's error that others equal: between few angles, many orders look alike."""
-    out = []
-    for member in reported.members:
-        others = equal_orders(setup, reported, member) if member.candidate.periodic else []
-        if others:
-            named = ", ".join(f"{order:.4g} ({odds_in_words(odds)})" for order, odds in others)
-            at = member.candidate.where[0]
-            out.append(f"{member.candidate.name} at {at}, order {member.hyper:.4g}: at these poses it looks like order {named}")
-    return out
-
-
-def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) -> list[tuple[float, float]]:
-    """Orders in the place of a member's, and their odds against it, where these are above a twentieth; most probable first.
-
-    Orders closer than one period over the joint's travel are no others: they are its own uncertainty, but for those that a gear has by
-    its construction.
-    """
-    candidate, own = member.candidate, float(member.hyper or 0.0)
-    assert candidate.hyper is not None, "a periodic effect has an order"
-    node = reported.point.conditioned(tuple(m for m in reported.members if m is not member))
-    grid = np.sort(candidate.hyper.values)
-    weight = dict(zip(grid, log_weights(candidate, grid), strict=True))
-    between = min(weight.values())  # of an order between those of the grid
-
-    logs = log_factors(node, candidate, grid)
-    log_own = float(log_factors(node, candidate, np.array([own]))[0])
-    around = np.concatenate([[-np.inf], logs, [-np.inf]])
-    resolution = 2 * np.pi / float(np.ptp(setup.context.value(candidate.depends_on)))
-    peaks = np.flatnonzero((logs > around[:-2]) & (logs >= around[2:]) & (np.abs(grid - own) > resolution))
-    near = near_built_orders(candidate, own, resolution)
-    others = list(zip(near, log_factors(node, candidate, np.array(near)).tolist(), strict=True)) if near else []
-    for j in peaks[np.argsort(-logs[peaks])][: OPTIONS.estimated]:
-        others.append(refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))[1])
-    log_odds = [(order, log + weight.get(order, between) - log_own - weight.get(own, between)) for order, log in others]
-    found = [(order, float(np.exp(min(log, 0.0)))) for order, log in log_odds]
-    return sorted((one for one in found if one[1] > OPTIONS.undecided), key=lambda one: -one[1])
-
-
-def near_built_orders(candidate: Candidate, own: float, resolution: float) -> list[float]:
-    """Orders that a gear has by its construction, once and twice a turn above all, within the resolution of a reported one: those are no
-    uncertainty of the order but another cause.
-    """
-    assert candidate.hyper is not None, "a periodic effect has an order"
-    built = dict.fromkeys((1.0, 2.0, *candidate.hyper.preferred))
-    return [order for order in built if LEAST_APART < abs(order - own) <= resolution]
 
 
 def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.figures import beyond_uncertainty
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
+from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
@@ -312,7 +313,7 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
     if below and not effect.trend:
         values.append(f"below the expanded uncertainty: {', '.join(below)}")
     shape = [] if effect.shape is None else [size_of_shape(effect, effect.shape)]
-    out += [f"  {line}" for line in (*values, *shape, *effect.notes)]
+    out += [f"  {line}" for line in (*values, *shape, *sentences(effect))]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):

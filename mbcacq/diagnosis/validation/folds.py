@@ -8,29 +8,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.executor import WorkerPool
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
+from mbcacq.diagnosis.model_fit import ModelFit, PartModel, fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
 from mbcacq.estimation.linear_problem import LinearProblem
-
-Model = tuple[EffectSet, tuple[RandomEffect, ...]]
+from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatedSearch:
     """The search without each part of the poses, begun in other processes. problem: linearised at the fit of all data; left_out: (P,) bool
-    of each part, of one or several kinds (``how``). models: returns what was found without each, when all of it is there; it gets a
-    function that is called with how many there are.
+    of each part, of one or several kinds (``how``). models: returns what was found without each, when all of it is there, at every call;
+    it gets a function that is called with how many there are.
     """
 
     problem: DiagnosisProblem
     left_out: list[np.ndarray]
     how: str
-    models: Callable[[Callable[[int], None]], list[Model]]
+    models: Callable[[Callable[[int], None]], list[PartModel]]
 
     @classmethod
     def begin(cls, problem: DiagnosisProblem, folds: int | None, pool: WorkerPool, unmodelled: bool) -> RepeatedSearch:
@@ -38,20 +36,39 @@ class RepeatedSearch:
         anything but effects of the catalogue.
         """
         usual = OPTIONS.folds if problem.linear.obs.n_poses < 2 * OPTIONS.searched_poses else 2
-        fold, how = split(problem.linear, folds or usual)
+        return cls._begun(problem, *split(problem.linear, folds or usual), pool, unmodelled)
+
+    @classmethod
+    def halves(cls, problem: DiagnosisProblem, pool: WorkerPool) -> RepeatedSearch:
+        """The search of each of two halves by blocks of the order of measurement: what one is searched in, the other has no part in."""
+        return cls._begun(problem, blocks(problem.linear.obs, 2), "block", pool, True)
+
+    @classmethod
+    def _begun(cls, problem: DiagnosisProblem, fold: np.ndarray, how: str, pool: WorkerPool, unmodelled: bool) -> RepeatedSearch:
         left_out = [fold == k for k in range(int(fold.max()) + 1)]
         calls = zip(*((problem, test, unmodelled) for test in left_out), strict=True)
-        models = pool.begin(model_without, *calls, elsewhere=problem.in_part)
+        answers, kept = pool.begin(model_without, *calls, elsewhere=problem.in_part), list[PartModel]()
+
+        def models(answered: Callable[[int], None] = lambda count: None) -> list[PartModel]:
+            if not kept:
+                kept.extend(answers(answered))
+            return kept
+
         return cls(problem=problem, left_out=left_out, how=how, models=models)
 
+    @property
+    def of_halves(self) -> bool:
+        """Whether its parts share no pose: each is searched without the other half."""
+        return self.how == "block" and len(self.left_out) == 2
 
-def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool) -> Model:
+
+def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool) -> PartModel:
     """The model found without a part, test (P,) bool, of the poses; groups at all locations of a long recording without their parts, which
     are large and the same for all. unmodelled: of a long recording, whether there is anything but effects of the catalogue.
     """
     linear = problem.linear
-    model, random = fit_part(problem, linear.keep & ~test[linear.obs.pose], unmodelled)
-    return model, tuple(replace(g, parts=()) for g in random) if problem.in_part else random
+    found = fit_part(problem, linear.keep & ~test[linear.obs.pose], unmodelled)
+    return replace(found, random=tuple(replace(g, parts=()) for g in found.random)) if problem.in_part else found
 
 
 @dataclass(frozen=True)
@@ -71,7 +88,7 @@ def evaluated_folds(full: ModelFit, again: RepeatedSearch, keys: Sequence[str], 
 
     keys: effects to be left out in turn. searched: gets how many of the searches have ended.
     """
-    problem, models = again.problem, again.models(searched)
+    problem, models = again.problem, [(found.model, found.random) for found in again.models(searched)]
     if problem.in_part:
         groups = {(g.location, g.depends_on): g for g in groups_everywhere(problem)} if full.random else {}
         alive = ((model, [g for g in random if groups]) for model, random in models)
@@ -111,12 +128,18 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     fold = of_station[obs.station]
     if all(len(np.unique(fold[recording == r])) >= 2 for r in np.unique(recording)):
         return fold, "station"
+    return blocks(obs, folds), "block"
+
+
+def blocks(obs: Observations, folds: int) -> np.ndarray:
+    """(P,) fold of each pose: four blocks of the order of measurement in each fold, of each of several recordings."""
+    recording = np.zeros(obs.n_poses, int) if obs.recording is None else obs.recording
     measured = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(np.argsort(obs.time_s, kind="stable"))
-    blocks = np.zeros(obs.n_poses, int)
+    out = np.zeros(obs.n_poses, int)
     for r in np.unique(recording):
         here = recording == r
-        blocks[here] = np.argsort(np.argsort(measured[here])) * (4 * folds) // here.sum()
-    return blocks % folds, "block"
+        out[here] = np.argsort(np.argsort(measured[here])) * (4 * folds) // here.sum()
+    return out % folds
 
 
 def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str, keys: Sequence[str] = ()) -> tuple[list[int], list[int]]:

@@ -4,10 +4,13 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, plain_effect
+from mbcacq.effects.effect import Candidate, Missing, Support, plain_effect
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
+# Aluminium, of which the softest artefacts are, grows by 24 ppm a kelvin, and rooms are within 40 K of 20 degrees; a certificate that is
+# off by a scale is off by as much again.
+LARGEST = Support(2e3, "no artefact is off by more than 0.2 % by its temperature")  # ppm
 DECLARED = Declaration(challenge=Challenge(number=15))
 
 
@@ -24,7 +27,7 @@ def candidates(context: Context) -> list[Candidate]:
         from_mean = centres - centres[mine].mean(axis=0)
         grown = [tuple(one for k in mine for one in of("ball", "is", cell.ball_ids[k], factor=1e-6 * from_mean[k, c])) for c in range(3)]
         parts = [DescribedPart("ball", 0, c, (grown[c],)) for c in range(3)]
-        out.append(plain_effect(NAME, [artefact.id], "x", parts, {"scale_ppm": 100.0}))
+        out.append(plain_effect(NAME, [artefact.id], "x", parts, {"scale_ppm": 100.0}, support=LARGEST))
     if not out:
         raise Missing("no artefact with two balls seen")
     return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, StandstillRows, number, plain_report
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, StandstillRows, Support, number, plain_report
 from mbcacq.effects.functions import DescribedPart, linear, of
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
@@ -23,6 +23,8 @@ CROSSING_S = np.array(
 )  # time constants of crossing the clearance that are tried: a fraction of a cycle to several
 LEAST_LOAD = 0.002  # of the largest: below, as at rest, the flank in contact is not known and no displacement is assumed
 OVERSAMPLING = 8  # the load changes its sign between two samples
+# rad, half of it: planetary gears of low price have a clearance of 20 to 30 arc minutes.
+LARGEST = Support(5e-3, "no gear has a clearance of more than 10 mrad")
 LEAST_SHARE_OF_TIME = 0.02  # on each flank, without which a change of flank cannot be seen
 
 
@@ -49,7 +51,7 @@ def by_direction(context: Context, i: int) -> Candidate:
     """By the direction of the last motion of joint i: -1, 0 or 1."""
     cause = f"direction_{i + 1}"
     parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(parts, np.array([3e-5])), report_of(i))
+    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(parts, np.array([3e-5])), report_of(i), support=LARGEST)
 
 
 def under_load(context: Context, i: int) -> Candidate:
@@ -60,7 +62,7 @@ def under_load(context: Context, i: int) -> Candidate:
         return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
 
     hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([3e-5])), report_of(i), hyper)
+    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([3e-5])), report_of(i), hyper, support=LARGEST)
 
 
 def report_of(i: int) -> Report:

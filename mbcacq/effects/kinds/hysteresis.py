@@ -4,11 +4,13 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, number
+from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, Support, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "hysteresis"
 DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=18))
+
+LARGEST = 5e-3  # rad, half of it at the largest torque: friction holds back no more than a gearbox winds up by
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -30,7 +32,8 @@ def candidates(context: Context) -> list[Candidate]:
         parts = [DescribedPart("joint", i, 0, ((Product(1.0, size),),))]
         largest = float(np.abs(torque[:, i]).max())
         rows = StandstillRows(parts, np.array([5e-5 / max(largest, 1e-9)]))
-        out.append(Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", rows, report_of(i, largest)))
+        support = Support(LARGEST / max(largest, 1e-9), f"friction leaves no gearbox wound up by more than {LARGEST * 1e3:.0f} mrad")
+        out.append(Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", rows, report_of(i, largest), support=support))
     return out
 
 

@@ -14,7 +14,14 @@ from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals
 
 NAME = "joint_scale"
-DECLARED = Declaration(challenge=Challenge(number=6, in_motion=8))
+# Wheels and encoder discs have whole numbers of teeth and lines, of which neither a rotary gear nor a direct drive can lose a share. A flat
+# belt creeps by some 1e-3, a friction wheel slips, a screw has an error of its lead (ISO 3408-3: some 1e-4).
+DRIVES = ("belt", "friction_wheel", "screw", "scaled_encoder")
+DECLARED = Declaration(
+    drives=DRIVES,
+    without_drive="the ratio of a gear is one of whole teeth (drive: belt, friction_wheel, screw or scaled_encoder permits the name)",
+    challenge=Challenge(number=6, in_motion=8),
+)
 
 
 def candidates(context: Context) -> list[Candidate]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, Refinement
-from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, StandstillRows, number
+from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, StandstillRows, Support, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "lost_motion"
@@ -18,6 +18,9 @@ TORQUE = "breakpoint_Nm"
 SHARES = np.geomspace(0.05, 0.7, 12)  # of the largest torque; below, it is backlash under load, above, it is compliance
 LEAST_TORQUE = 0.5  # N m
 LEAST_TYPICAL = 5e-5  # rad: half a lost motion of a third of an arc minute
+
+# rad, half of it: data sheets state 0.3 mrad (cycloidal) to 3 mrad (planetary) of lost motion; worn gears have a few times as much.
+LARGEST = Support(5e-3, "no gearbox loses more than 10 mrad")
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -61,7 +64,7 @@ def of_joint(context: Context, i: int) -> Candidate:
         }
 
     rows, hyper = StandstillRows(described, np.array([LEAST_TYPICAL])), Hyperparameter(TORQUE, values, 3.0, kind=BREAKPOINT)
-    return Candidate(NAME, (f"A{i + 1}",), cause, rows, report, hyper, positive=True, several=True)
+    return Candidate(NAME, (f"A{i + 1}",), cause, rows, report, hyper, positive=True, several=True, support=LARGEST)
 
 
 DECLARED = Declaration(

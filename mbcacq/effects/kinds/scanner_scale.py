@@ -4,10 +4,13 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, Support, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, linear
 
 NAME = "scanner_scale"
+# The base of a triangulating scanner grows by some 1e-5 a kelvin, and its makers state 1e-3 and less; one that is off by 1 % reports
+# another unit.
+LARGEST = Support(1e4, "a scanner that is off by more than 1 % reports another unit")  # ppm
 DECLARED = Declaration(challenge=Challenge(number=11))
 
 
@@ -31,7 +34,7 @@ def candidates(context: Context) -> list[Candidate]:
 
     def candidate(parts: list[DescribedPart], cause: str, report: Report, k: int, variant: str) -> Candidate:
         typical = np.full(k, 200.0)
-        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant)
+        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant, support=LARGEST)
 
     return [
         candidate(one, "z", report_one, 1, ""),

@@ -4,11 +4,15 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, plain_effect
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, Support, number, plain_effect
 from mbcacq.effects.functions import DescribedPart, Function, Product, of, scaled
 from mbcacq.effects.over_time import time_constant, time_constant_std
 
 NAME = "thermal_growth"
+# Aluminium grows by 24e-6 of its length a kelvin, steel by half of that; joints warm up by 40 K at most, and the temperature that is
+# recorded may be another one.
+LARGEST_STRAIN = 24e-6 * 60.0
+LIMIT = "no link of metal grows by so much of its length"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s", "temperature"), challenge=Challenge(number=9))
 
 
@@ -37,7 +41,14 @@ def with_temperature(context: Context, i: int, column: str, temperature: np.ndar
     first = float(temperature[np.argmin(context.order)])
     change = (Product(1.0, (Function(column),)), Product(-first))
     parts = [DescribedPart("frame", i + 1, c, (scaled(change, along[c]),)) for c in range(3) if abs(along[c]) > 1e-6]
-    return plain_effect(NAME, [f"link{i + 1}"], column, parts, {f"link{i + 1}.growth_mm_per_K": 0.01})
+    largest = largest_growth(context, i) / max(float(np.ptp(temperature)), 1e-9)
+    return plain_effect(NAME, [f"link{i + 1}"], column, parts, {f"link{i + 1}.growth_mm_per_K": 0.01}, support=Support(largest, LIMIT))
+
+
+def largest_growth(context: Context, i: int) -> float:
+    """mm that link i can grow by."""
+    chain = context.state.chain
+    return LARGEST_STRAIN * float(np.hypot(chain.a[i], chain.d[i]))
 
 
 def with_warm_up(context: Context, i: int) -> Candidate:
@@ -54,4 +65,5 @@ def with_warm_up(context: Context, i: int) -> Candidate:
             f"link{i + 1}.time_constant_s": number(tau.value, time_constant_std(tau.value, c, v)),
         }
 
-    return Candidate(NAME, (f"link{i + 1}",), "time", StandstillRows(described, np.array([0.1])), report, hyper)
+    support = Support(largest_growth(context, i), LIMIT)
+    return Candidate(NAME, (f"link{i + 1}",), "time", StandstillRows(described, np.array([0.1])), report, hyper, support=support)

@@ -38,6 +38,7 @@ ROWS = TableSchema(
     comment="#",
 )
 SHORTEST_ARM_MM, LONGEST_ARM_MM = 20.0, 50e3
+REACHED = 200  # postures in which the reach is seen
 REVOLUTE = ("r", "rev", "revolute", "rotational", "rotary", "0", "0.0")  # sigma of Corke's toolbox is 0, and 1 of a slide
 
 
@@ -49,7 +50,7 @@ def read_dh_table(path: Path, convention: str) -> ArmSource:
     table = _table(path)
     _refuse_prismatic(table)
     theta, d, a, alpha = table.numbers(("theta", "d", "a", "alpha")).T
-    _refuse_other_units(table)
+    _refuse_other_units(table, _reach(convention, theta, d, a, alpha))
 
     def forward(q: np.ndarray) -> np.ndarray:
         return _frames(convention, theta, d, a, alpha, q)[1]
@@ -134,13 +135,21 @@ def _refuse_prismatic(table: Table) -> None:
             raise ConfigError(f"{table.where(i, 'type')}: row {i + 1} is of type '{kind.strip()}'; an arm of revolute joints is needed")
 
 
-def _refuse_other_units(table: Table) -> None:
+def _reach(convention: str, theta: np.ndarray, d: np.ndarray, a: np.ndarray, alpha: np.ndarray) -> float:
+    """How far from the base the flange comes, mm: the d of nearly parallel axes may be large and cancel."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (REACHED, len(theta)))
+    return float(np.median(np.linalg.norm(_frames(convention, theta, d, a, alpha, q)[1][:, :3, 3], axis=1)))
+
+
+def _refuse_other_units(table: Table, reach: float) -> None:
     """Raise ConfigError for lengths that cannot be in the unit of their heading, and angles likewise."""
-    length = float(np.abs(table.numbers(LENGTHS)).sum())
-    if 0 < length < SHORTEST_ARM_MM:
-        raise ConfigError(f"{table.path}: all d and a are {length:.3g} mm together, which looks like metres; name the columns d_m, a_m")
-    if length > LONGEST_ARM_MM:
-        raise ConfigError(f"{table.path}: all d and a are {length / 1e3:.3g} m together, which looks like mm; name the columns d_mm, a_mm")
+    metres = all(table.found[name].unit == "m" for name in LENGTHS)
+    if 0 < reach < SHORTEST_ARM_MM:
+        advice = "which looks like metres; name the columns d_m, a_m" if not metres else "less than any arm; correct the rows"
+        raise ConfigError(f"{table.path}: the flange of these rows is {reach:.3g} mm from the base, {advice}")
+    if reach > LONGEST_ARM_MM:
+        advice = "which looks like mm; name the columns d_mm, a_mm" if metres else "more than any arm; correct the rows, or their unit"
+        raise ConfigError(f"{table.path}: the flange of these rows is {reach / 1e3:.3g} m from the base, {advice}")
     for name in ANGLES:
         by_heading = np.array([number_with_unit(cell) is None for cell in table.text(name)])
         plain, heading = table.number(name)[by_heading], f"{table.path}: '{table.heading(name)}'"

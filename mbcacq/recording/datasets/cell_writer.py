@@ -81,7 +81,8 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         data["repeatability_mm"] = float(robot.repeatability_mm)
     if robot.balancer is not None:
         data["balancer"] = robot.balancer
-    data["links"] = [Flow({key: values[i] for key, values in columns.items()}) for i in range(n)]
+    driven = [{} if drive is None else {"drive": drive} for drive in robot.drives or (None,) * n]
+    data["links"] = [Flow({key: values[i] for key, values in columns.items()} | driven[i]) for i in range(n)]
     data["payload"] = Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
     data["base_to_gravity"] = _list(robot.gravity)
     return data

@@ -18,7 +18,9 @@ from mbcacq.recording.datasets.csv_columns import XYZ, numbered
 from mbcacq.recording.datasets.pose_columns import (
     ANGLES,
     LENGTHS,
+    OPENCV,
     RADIANS_BELOW,
+    STATISTICS,
     PoseHeadings,
     heading,
     named_convention,
@@ -26,13 +28,13 @@ from mbcacq.recording.datasets.pose_columns import (
     role,
 )
 
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
 _WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
 # Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
 _MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
 RTDE_JOINT = "actual_q"
-STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
 def columns_of(text: str) -> dict[str, str]:
@@ -51,7 +53,8 @@ def flange_group(table: Table) -> PoseHeadings | None:
     found = [g for g in groups(table) if g.rotation]
     named = [g for g in found if role(g) == "flange"]
     named = [g for g in named if "actual" in g.thing] or named  # beside it a controller records where the arm was sent
-    return next(iter(named or [g for g in found if role(g) == ""]), None)
+    unnamed = [g for g in found if role(g) == "" and (g.thing != OPENCV or len(found) == 1)]
+    return next(iter(named or unnamed), None)
 
 
 def target_columns(table: Table) -> PoseHeadings | None:
@@ -63,7 +66,11 @@ def target_columns(table: Table) -> PoseHeadings | None:
 
 
 def groups(table: Table) -> list[PoseHeadings]:
-    return [g for g in pose_groups(list(table.columns)) if g.thing not in STATISTICS]
+    """The poses and points of a table. Raises ConfigError for an orientation without an owner, or a matrix that is none."""
+    try:
+        return [g.upright(table) for g in pose_groups(list(table.columns)) if g.thing not in STATISTICS]
+    except ConfigError as error:
+        raise error if str(error).startswith(str(table.path)) else ConfigError(f"{table.at_headings}: {error}") from None
 
 
 def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
@@ -107,13 +114,29 @@ def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
 def joint_columns(table: Table) -> list[str]:
     """The columns of joint angles in the order of the axes: q1_deg .., J1 .., A1 .., joint_1 .., axis 1 .., actual_q_0 ..; [] where there
     are none."""
-    return joints_among(list(table.columns))
+    return _ros_joints(table) or joints_among(list(table.columns))
+
+
+def _ros_joints(table: Table) -> list[str]:
+    """The angles of a text log of ROS (field.position0 ..) in the order of the axes, by the names in field.name0 ..: numbers in them, or
+    those of a Universal Robot. [] where there are none, or the names do not say."""
+    at = [m[1] for name in table.columns if (m := re.fullmatch(r"field\.position(\d+)", name)) and f"field.name{m[1]}" in table.columns]
+    names = [set(table.columns[f"field.name{i}"]) for i in at]
+    if len(at) < LEAST_AXES or any(len(of) != 1 for of in names):
+        return []
+    said = [next(iter(of)) for of in names]
+    order = [next((k for k, word in enumerate(UR_JOINTS) if word in name), None) for name in said]
+    if None in order:
+        order = [int(m[1]) if (m := re.search(r"(\d+)$", name)) else None for name in said]
+    if None in order or len(set(order)) < len(order):
+        return []
+    return [f"field.position{i}" for _, i in sorted(zip(order, at, strict=True), key=lambda pair: pair[0] or 0)]
 
 
 def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -> np.ndarray:
     """(rows, n) rad of columns of joint angles, in the unit that was said, that of the headings, rad of UR's actual_q, or by the size."""
     unit = said or next((heading(name).unit for name in joints if heading(name).unit in ANGLES), None)
-    if unit is None and all(name.strip().lower().startswith(RTDE_JOINT) for name in joints):
+    if unit is None and all(name.strip().lower().startswith((RTDE_JOINT, "field.")) for name in joints):
         unit = "rad"
     if unit is None:
         unit = "rad" if np.abs(table.group(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
@@ -123,7 +146,10 @@ def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -
 
 def names_poses(headings: Sequence[str]) -> bool:
     """Whether a line of a file is the headings of joint angles, or of poses or points."""
-    return bool(pose_groups(headings) or joints_among(headings))
+    try:
+        return bool(pose_groups(headings) or joints_among(headings))
+    except ConfigError:
+        return True  # understood well enough to be refused with its reason
 
 
 def unit_above(table: Table) -> str | None:

@@ -16,7 +16,7 @@ from mbcacq.recording.datasets import quaternions
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
-TIME = Column("time", "s", aliases=("t", "timestamp", "time_stamp", "clock", "date", "datetime", "zeit"), assumed="s")
+TIME = Column("time", "s", aliases=("t", "timestamp", "time_stamp", "clock", "date", "datetime", "zeit", "%time"), assumed="s")
 MEASURED = (*(Column(axis, "mm", required=False) for axis in "xyz"), *(Column(name, required=False) for name in QUATERNION))
 
 

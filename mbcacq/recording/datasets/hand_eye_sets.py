@@ -18,11 +18,11 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model import yaml12
-from mbcacq.recording.datasets.columns import names_poses
+from mbcacq.recording.datasets.columns import groups, names_poses
 from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
-from mbcacq.recording.datasets.pose_columns import PoseHeadings, pose_groups
+from mbcacq.recording.datasets.pose_columns import PoseHeadings
 
 MAX_BYTES = 1 << 26
 SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples
@@ -100,7 +100,11 @@ def _yaml(path: Path) -> Any:
 
 def _matrix(values: Any) -> np.ndarray:
     T = np.array(values, dtype=float).reshape(4, 4)
-    return T if np.allclose(T[3], [0, 0, 0, 1]) else T.T  # column by column, as some write it
+    if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-3):
+        T = T.T  # column by column, as some write it
+    if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-3):
+        raise ValueError("the last row of a matrix is not 0 0 0 1, nor its last column")
+    return T
 
 
 def _ros_transform(content: dict[str, Any]) -> np.ndarray:
@@ -143,7 +147,10 @@ def _matrices(folder: Path, names: re.Pattern, but_not: re.Pattern | None) -> It
             continue
         found = [float(text) for text in _NUMBER.findall(_data_of(path.read_text(encoding="utf-8", errors="replace")))]
         if len(found) >= 16:
-            yield int(number[-1]), _matrix(found[-16:])
+            try:
+                yield int(number[-1]), _matrix(found[-16:])
+            except ValueError as error:
+                raise ConfigError(f"{path}: {error}; correct it") from None
 
 
 def _data_of(text: str) -> str:
@@ -165,7 +172,7 @@ def _paired(hand_file: Path, eye_file: Path, options: TableOptions) -> Table:
 
 
 def _whole_pose(table: Table) -> PoseHeadings:
-    found = [g for g in pose_groups(list(table.columns)) if g.rotation]
+    found = [g for g in groups(table) if g.rotation]
     if not found:
         raise ConfigError(f"{table.path}:1: no pose in the columns {', '.join(table.columns)}; name them x, y, z, q_x, q_y, q_z, q_w")
     return found[0]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.profile_start import CLEARLY, NEVER_MM, ProfileStart, find_start, measured_centres
+from mbcacq.calibration.profile_start import CLEARLY, NEVER_MM, ProfileStart, find_start, measured_centres, radius_by_profiles
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
 from mbcacq.geometry import se3
@@ -19,12 +19,13 @@ from mbcacq.geometry.flange_poses import flange_coordinates
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.columns import flange_group
-from mbcacq.recording.datasets.loose_table import MEASUREMENTS, TableOptions, UnderstoodTable, conventions_of, in_units
+from mbcacq.recording.datasets.loose_table import MEASUREMENTS, TableOptions, UnderstoodTable, conventions_of, directed, in_units
 from mbcacq.recording.datasets.pose_columns import LENGTHS, PoseHeadings, heading
 from mbcacq.spheres.circles import Circle, circles_in
 
 NUMBER_WORDS = ("profile", "profile_no", "profile_id", "profile_number", "frame", "frame_index", "scan", "pose", "trigger")
 LEAST_PROFILES = 12
+SURE = 5.0  # standard uncertainties by which profiles contradict the stated radius
 TRIED = 30  # profiles that readings of the columns are compared with
 
 
@@ -114,6 +115,7 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
     of_pose, rows = (table, sections.rows) if poses is None else (poses, _rows_of(poses, table, columns)[sections.rows])
     if flange is None:
         raise ConfigError(f"{of_pose.path}:1: no columns give the pose of the flange at each profile; name them flange_x_mm, .., flange_qw")
+    flange = directed(flange, options.flange_inverted, of_pose, "flange")
     readings = _tried(of_pose, rows, flange, sections, radius, options)
     best, *others = readings
     close = [o for o in others if o.start.misfit_mm < CLEARLY * max(best.start.misfit_mm, NEVER_MM)]
@@ -124,8 +126,15 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
         )
     moving = best.hand if best.measurement == ARTEFACT_IN_SCANNER else se3.inverse(best.hand)
     best = replace(best, start=find_start(moving, sections.circles, radius))
+    own_radius, sigma = radius_by_profiles(moving, sections.circles, radius, best.start)
+    if abs(own_radius - radius) > SURE * sigma:
+        raise ConfigError(
+            f"{table.path}: the profiles say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2), and --diameter "
+            f"{2 * radius:g}; correct the diameter, or the unit of the profiles"
+        )
+    said = f"the profiles alone say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2)"
     obs = sphere_observations(best.hand, best.measurement, best.start, sections, radius, str(table.path))
-    return UnderstoodTable(obs, tuple(_sentences(best, sections, columns, options)))
+    return UnderstoodTable(obs, (*_sentences(best, sections, columns, options), said))
 
 
 def _tried(

@@ -14,25 +14,31 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.calibration.description import residual_mm
+from mbcacq.calibration.description import misdescribed, residual_mm
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
-from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, role
+from mbcacq.recording.datasets.pose_columns import ANGLES, EULERS, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 
 SUFFIXES = (".csv", ".txt", ".tsv")
 CLEARLY = 3.0  # times the misfit of the best reading, below which another is as likely
 NEVER_MM = 1e-3  # misfits below are rounding
 LEAST_POSES = 4
+NO_FIT_MM, NO_FIT = 1.0, 0.5  # residual, and its share of that of rows paired at random, from which no reading fits
+SHUFFLES = 5
+MOST_DOUBTED = 4  # readings in which a simple mistake is looked for
+DOUBTFUL_MM = 0.5  # residual from which a simple mistake in the table is looked for; arms are off by less
 MEASUREMENTS = {
     ARTEFACT_IN_SCANNER: "scanner on the flange (eye in hand)",
     TARGET_IN_BASE: "scanner fixed, target on the flange (eye to hand)",
 }
+COMPONENTS = {"x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", *(c for names in EULERS for c in names)}
 _BALL = re.compile(r"^([xyz])_?(\d+)$")
 
 
@@ -41,9 +47,10 @@ class TableOptions:
     """What is said of a table beside its headings; None: by the headings, or by the data.
 
     flange, target: conventions of orientations (makers' names or words of ``mbcacq.geometry.orientations``). length ('mm', 'm') and angle
-    ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. target_inverted: the camera's pose in the target stands in place
-    of the target's in the camera. columns: names of this program -> names in the file. robot: of
-    joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere in line profiles.
+    ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. flange_inverted, target_inverted: whether the base's pose in
+    the flange stands in place of the flange's in the base, and the camera's in the target in place of the target's in the camera.
+    columns: names of this program -> names in the file. robot: of joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere
+    in line profiles.
     """
 
     flange: str | None = None
@@ -51,7 +58,8 @@ class TableOptions:
     length: str | None = None
     angle: str | None = None
     measurement: Measurement | None = None
-    target_inverted: bool = False
+    flange_inverted: bool | None = None
+    target_inverted: bool | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     robot: RobotModel | None = None
     noise_mm: tuple[float, float, float] | None = None
@@ -111,14 +119,61 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
         raise ConfigError(
             f"{table.path}: no reading of the columns fits the poses; check that flange and target belong together, row by row"
         )
+    _refuse_unfitting([made[j][1] for misfit, j in scored if misfit < CLEARLY * best][:MOST_DOUBTED] or [obs], best, table)
     close = [made[j][0] for misfit, j in others if misfit < CLEARLY * max(best, NEVER_MM)]
     if close:
         asked = "; or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
         raise ConfigError(
             f"{table.path}: the data fit {reading.differs(close[0])} (residual {best:.3g} mm) no better than {asked}; say which it is: "
-            "--flange, --target, --eye-in-hand or --eye-to-hand of mbcacq data new, and turn more between the poses next time"
+            "--flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, and turn more "
+            "between the poses next time"
         )
-    return UnderstoodTable(obs, tuple(_sentences(obs, reading, options, best, [(made[j][0], misfit) for misfit, j in others])))
+    said = _sentences(obs, reading, options, best, [(made[j][0], misfit) for misfit, j in others])
+    return UnderstoodTable(obs, (*said, *_unused(table, reading)))
+
+
+def _refuse_unfitting(alike: Sequence[Observations], best_mm: float, table: Table) -> None:
+    """Raise ConfigError where even the best reading does not fit, with the simple mistake that explains it, where there is one. alike: of
+    the readings that fit best, the best first."""
+    obs = alike[0]
+    if obs.n_centres > 1 and not np.ptp(obs.xyz, axis=0).any():
+        raise ConfigError(
+            f"{table.path}: all {obs.n_centres} measurements are the same to the last digit, while the flange moves; check the columns of "
+            "the target, and the order of numbers in matrices"
+        )
+    if best_mm < DOUBTFUL_MM:
+        return
+    if mistake := next(filter(None, map(misdescribed, alike)), ""):
+        raise ConfigError(f"{table.path}: {mistake}; correct the table, or say how it is meant")
+    rng = np.random.default_rng(0)
+    paired_at_random = [_misfit(replace(obs, q=obs.q[rng.permutation(obs.n_poses)])) for _ in range(SHUFFLES)]
+    if best_mm > max(NO_FIT_MM, NO_FIT * float(np.median(paired_at_random))):
+        raise ConfigError(
+            f"{table.path}: no reading fits better than {best_mm:.3g} mm (rows paired at random: "
+            f"{np.median(paired_at_random):.3g} mm): the rows of flange and target do not belong together, or the columns "
+            "are of something else"
+        )
+
+
+def _unused(table: Table, reading: TableReading) -> Iterator[str]:
+    """A sentence on the columns that are not used, each with its reason."""
+    used = {name for group in (reading.flange, *reading.targets) if group for name in (*group.names, *group.closing)} | table.taken
+    joints, poses = joint_columns(table), {name: g for g in groups(table) for name in g.names}
+    why: dict[str, list[str]] = {}
+    for name in table.columns:
+        if name in used:
+            continue
+        if name in joints:
+            reason = "joint angles beside the flange's pose"
+        elif name in poses:
+            reason = "another pose or place"
+        elif heading(name).component in COMPONENTS:
+            reason = "no whole pose, or a second orientation of one"
+        else:
+            reason = "of no use here"
+        why.setdefault(reason, []).append(name)
+    if why:
+        yield "not used: " + "; ".join(f"{', '.join(names)} ({reason})" for reason, names in why.items())
 
 
 def _sentences(
@@ -166,11 +221,15 @@ def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
             "target's pose "
             "target_x_mm .. target_qz, of one sphere sphere_x_mm, sphere_y_mm, sphere_z_mm, of several x1_mm, y1_mm, z1_mm, x2_mm .."
         )
+    flange = None if flange is None else directed(flange, options.flange_inverted, table, "flange")
+    if options.target_inverted is not None or (options.measurement and targets[0].inverted is None):
+        targets = (replace(targets[0], inverted=False), *targets[1:])  # said, or tried both ways below
+    targets = (directed(targets[0], None, table, "target"), *targets[1:])
     conventions = [conventions_of(flange, options.flange, "--flange"), conventions_of(targets[0], options.target, "--target")]
     measurements: list[Measurement] = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     # Where the measurement is not known, an inverted target is the same equation as the other measurement: the headings are believed.
-    both = options.measurement and targets[0].rotation and not options.target_inverted
-    inverted = (False, True) if both else (options.target_inverted,)
+    both = options.measurement and targets[0].rotation and options.target_inverted is None
+    inverted = (False, True) if both else (bool(options.target_inverted),)
     for (of_flange, of_target), (measurement, inverse) in product(product(*conventions), product(measurements, inverted)):
         hand = None if flange is None else in_units(replace(flange, convention=of_flange, alternatives=()), table, options)
         seen = (replace(targets[0], convention=of_target, alternatives=()), *targets[1:])
@@ -200,6 +259,16 @@ def conventions_of(group: PoseHeadings | None, said: str | None, option: str) ->
         return (group.convention, *group.alternatives)
     found = named_convention(said, option)
     return (found,)
+
+
+def directed(group: PoseHeadings, inverted: bool | None, table: Table, of: str) -> PoseHeadings:
+    """The pose with what was said of its direction, else by its name. Raises ConfigError where the name means either."""
+    if inverted is None and group.inverted is None:
+        raise ConfigError(
+            f"{table.at_headings}: '{group.thing}' is the {of}'s pose to some, and its inverse to OpenCV; say which it is: "
+            f"--{of}-direct or --{of}-inverted of mbcacq data new"
+        )
+    return group if inverted is None else replace(group, inverted=inverted)
 
 
 def in_units(group: PoseHeadings, table: Table, options: TableOptions) -> PoseHeadings:
@@ -244,6 +313,7 @@ def _observations(table: Table, reading: TableReading, options: TableOptions) ->
         rotation.append(T[:, :3, :3])
         stated = covariances.read(part, 6 if target.rotation else 3) if len(reading.targets) == 1 else None
         covariance += [] if stated is None else [stated]
+        table.taken |= part.taken
     at = np.concatenate(pose)
     order = np.argsort(at, kind="stable")
     certified = len(balls) == 1
@@ -270,7 +340,7 @@ def _observations(table: Table, reading: TableReading, options: TableOptions) ->
         xyz=np.concatenate(xyz)[order],
         rotation=np.concatenate(rotation)[order] if reading.targets[0].rotation else None,
         covariance=np.concatenate(covariance)[order] if covariance else None,
-        time_s=table.number("time_s") if table.has(["time_s"]) else None,
+        time_s=in_seconds(table.time("time_s")) if table.has(["time_s"]) else None,
     )
     return with_estimated_centres(_with_stated_noise(obs), str(table.path))
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, TableSchema, read_table
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, unit_above
 from mbcacq.recording.datasets.csv_columns import TIME, numbers
@@ -20,6 +21,7 @@ from mbcacq.recording.datasets.pose_columns import LENGTHS, RTDE_POSE, PoseHeadi
 
 LOG = TableSchema("a log", (TIME,), preamble=True)
 LEAST_ROWS = 20
+LONGEST_STEP_S = 60.0  # between the rows of a log of a motion
 MOST_STEPS = 400_000  # of the grid on which speeds are compared
 BURST_STEP, BURST_SHARE = 0.1, 0.3  # steps below a tenth of the mean; share of them from which times count as bursts
 LEAST_CORRELATION = 0.6  # of the speeds; two unrelated motions reach 0.3
@@ -212,10 +214,14 @@ def _read(path: Path, names: Mapping[str, str]) -> Table:
 
 
 def _log(table: Table, value: np.ndarray, joints: bool) -> tuple[_Log, list[str]]:
-    t = table.time("time")
+    t = in_seconds(table.time("time"))
     if (np.diff(t) < 0).any():
         row = int(np.argmax(np.diff(t) < 0)) + 1
         raise ConfigError(f"{table.where(row, 'time')}: the time goes back; sort the rows, or give one recording")
+    if (step := float(np.median(np.diff(t)))) > LONGEST_STEP_S:
+        raise ConfigError(
+            f"{table.where(0, 'time')}: {step:.3g} s from row to row, which cannot be s; name the column with its unit, such as time_ns"
+        )
     even, sentence = even_times(t)
     keep = np.r_[True, np.diff(even) > 0]
     kept = _Log(table.rows(keep), even[keep], value[keep], "joints" if joints else "flange")

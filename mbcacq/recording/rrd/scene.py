@@ -11,6 +11,7 @@ from rerun.components import MarkerShape
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.link_shapes import link_corners, link_radii
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.datasets import quaternions
@@ -181,8 +182,7 @@ def log_limits(rec: Stream) -> None:
 
 
 def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
-    reach = float(np.sum(np.hypot(chain.a, chain.d)))
-    thick = 0.042 * reach * np.linspace(1.0, 0.42, chain.n)
+    thick, corners = link_radii(chain), link_corners(chain)
     foot = max(0.45 * abs(float(chain.d[0])), 0.4 * thick[0])
     rec.log(
         f"{layout.ROBOT}/base",
@@ -195,10 +195,10 @@ def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
         ),
         static=True,
     )
-    step = chain.link_transforms(-chain.sign * chain.theta[None])[0]  # joint turned to zero: the rigid part of each row
+    step = se3.inverse(chain.link_transforms(-chain.sign * chain.theta[None])[0])
     for i in range(chain.n):
-        corner = se3.apply(se3.inverse(step[i]), np.array([[0.0, 0, 0], [0, 0, chain.d[i]], [chain.a[i], 0, chain.d[i]]]))
-        axis = se3.inverse(step[i])[:3, 2]
+        corner = corners[i]
+        axis = step[i][:3, 2]
         if i == 0 and chain.d[0] > foot:
             corner[0] = corner[0] + axis * foot
         last = i == chain.n - 1

@@ -12,6 +12,7 @@ from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, EffectFound
 from mbcacq.diagnosis.findings import Findings
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.pictures import axis_of
+from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.output.text import difference, first_sentence, likelihood, noise_floor, open_lines, size_of_shape
 from mbcacq.diagnosis.result import Diagnosis, FitFigures
 from mbcacq.effects.effect import ParameterEstimate, Parameters
@@ -120,7 +121,7 @@ def effect_content(effect: EffectFound, excess: bool = True) -> EffectContent:
     shown = {} if trend else effect.parameters
     harmonics = _of_harmonics(shown)
     notes = [] if effect.shape is None else [f"{capitalised(size_of_shape(effect, effect.shape))}."]
-    notes += [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in effect.notes)]
+    notes += [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in sentences(effect))]
     return EffectContent(
         title=f"Trend: {name} at {at}" if trend else f"{capitalised(name)} at {at}",
         depends_on=axis_of(effect.depends_on)[0] if effect.depends_on else "",

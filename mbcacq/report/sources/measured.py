@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.geometry import se3
+from mbcacq.geometry.link_shapes import arm_outline, link_radii
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import Coverage, Residuals, Spheres
@@ -66,15 +67,15 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
         balls=balls,
         ball_phase=phase,
         arm=_arm(obs, state),
+        arm_radii=link_radii(state.chain),
     )
 
 
 def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
-    """(n + 1, 3) mm: base and joints in the pose in the middle of the run, to draw the arm by."""
+    """(3 n, 3) mm: the links in the pose in the middle of the run, to draw the arm by."""
     if not obs.n_poses:
         return None
-    frames = state.chain.frames(obs.q[[obs.n_poses // 2]])[0]
-    return np.concatenate([np.zeros((1, 3)), frames[:, :3, 3]])
+    return arm_outline(state.chain, obs.q[obs.n_poses // 2])
 
 
 def spheres(observations: Observations) -> Spheres | None:

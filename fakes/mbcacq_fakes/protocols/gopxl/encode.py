@@ -61,6 +61,12 @@ def profile(frame: ScannerFrame, exposure_us: float) -> bytes:
     return struct.pack("<HII4df", 46, len(row), 0, scale[0], scale[2], offset[0], offset[2], exposure_us * 1e3) + row.tobytes()
 
 
+def middle_of_profile(frame: ScannerFrame) -> float:
+    """The middle of a box around the points of the middle row, along x in the sensor's frame (mm); NaN without a point."""
+    x = -frame.xyz[len(frame.xyz) // 2, :, 0]
+    return float(np.nanmin(x) + np.nanmax(x)) / 2 if np.any(np.isfinite(x)) else float("nan")
+
+
 def measurement(value: float, new_form: bool) -> bytes:
     valid = bool(np.isfinite(value))
     body = struct.pack("<dB", value if valid else -1.7976931348623157e308, 1 if valid else 2)

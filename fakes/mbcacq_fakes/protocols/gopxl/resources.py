@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from mbcacq_fakes.protocols.gopxl.digital_output import ROOT as DIGITAL_OUTPUT
+from mbcacq_fakes.protocols.gopxl.digital_output import DigitalOutput
+from mbcacq_fakes.protocols.gopxl.schema import LIMITS, schema_of
+
 OK, FAILED, WRONG_STATE, NOT_FOUND, PARAMETER, EXISTS = 1, 0, -1000, -999, -997, -987
 ENGINE = "LMIFringeSnapshot"
 ENGINES = "/scan/engines"
@@ -12,12 +16,12 @@ GROUP = f"{ENGINES}/{ENGINE}/scanners/scanner-0"
 SENSOR = f"{GROUP}/sensors/sensor-0"
 PREFIX = f"scan:{ENGINE}:scanner-0:"
 STAMP, POINTS, UNIFORM = (f"{PREFIX}{key}" for key in ("stamp", "sensor-0SurfacePointCloud", "sensor-0UniformSurface"))
-EXPOSURE_LIMITS_US = (100.0, 100_000.0)
 # The vendor's samples are written for a laser line sensor; its paths lead to the same scanner.
 LASER = "LMILaserLineProfiler"
 LASER_SURFACE, LASER_PROFILE = (f"scan:{LASER}:scanner-0:{key}" for key in ("topUniformSurface", "topUniformProfile"))
 LASER_STAMP = f"scan:{LASER}:scanner-0:stamp"
-SOURCES = (STAMP, POINTS, UNIFORM, LASER_STAMP, LASER_SURFACE, LASER_PROFILE)
+TOOL = "tools:ProfileBoundingBox-0:outputs:X"  # of the tool that every job of this sensor has: the middle of the profile along x
+SOURCES = (STAMP, POINTS, UNIFORM, LASER_STAMP, LASER_SURFACE, LASER_PROFILE, TOOL)
 TIME, SOFTWARE = 0, 3  # sources of the trigger
 
 
@@ -48,6 +52,7 @@ class Resources:
         self.temperature_C, self.scan_count = 41, 0
         self.quick_edit, self.name = False, "Sensor"
         self.content: dict[str, bytes] = {}  # of jobs that were saved or brought
+        self.digital_output = DigitalOutput(serial)
         self.group: dict[str, Any] = {
             "triggerSettings": {"source": 0, "maxFrameRateEnabled": True, "frameRate": 5},
             "scanModeSettings": {"scanMode": 3, "intensityEnabled": False, "uniformSpacingEnabled": False},
@@ -65,14 +70,14 @@ class Resources:
         """The payload of the reply. Raises Refused."""
         path = path.rstrip("/").replace(f"{ENGINES}/{LASER}", f"{ENGINES}/{ENGINE}")
         if method == "read":
-            return self._read(path, args)
+            found = self._read(path, args)
+            return {**found, "_schema": schema_of(found)} if args.get("includeSchema") else found
         if method == "update":
             return self._update(path, payload)
         if method == "call":
             return self._call(path, payload)
-        if method == "create" and path == "/jobs/files":
-            self._keep_job(str(payload.get("name", "")), bytes(payload.get("content") or b""))
-            return {"path": f"/jobs/files/{payload['name']}"}
+        if method == "create":
+            return self._create(path, payload)
         if method == "delete":
             return self._delete(path)
         if method in ("sub", "unSub", "unsub", "stream", "cancelStream"):
@@ -97,6 +102,7 @@ class Resources:
             "/controls/gocator": lambda: {"enabled": self.gdp_enabled, "serverPort": self.gdp_port},
             "/controls/gocator/outputs": lambda: {"map": [dict(o) for o in self.outputs]},
             ENGINES: lambda: children([f"{ENGINES}/{ENGINE}"]),
+            f"{ENGINES}/{ENGINE}": lambda: children([GROUP], relation="go:scanner"),
             f"{ENGINES}/{ENGINE}/scanners": lambda: children([GROUP]),
             GROUP: lambda: {"displayName": "Scanner", "parameters": self.group},
             f"{GROUP}/sensors": lambda: children([SENSOR]),
@@ -105,10 +111,14 @@ class Resources:
             f"{GROUP}/alignment": lambda: {"alignState": self.align_state},
             f"{GROUP}/transform": lambda: {"transform": {}, "encoderResolution": 1.0, "speed": 100.0},  # what is in it nobody has said
             f"{GROUP}/metrics": self._scanner_metrics,
+            f"{GROUP}/layout": lambda: {"grid": {"sensors": [{"sensorId": "sensor-0", "row": 0, "column": 0, "orientation": 0}]}},
             f"{SENSOR}/metrics": self._temperatures,
+            f"{SENSOR}/transform": lambda: {"transform": dict.fromkeys(("x", "y", "z", "xAngle", "yAngle", "zAngle"), 0.0)},
         }
         if path in readers:
             return readers[path]()
+        if (outputs := self.digital_output.read(path)) is not None:
+            return outputs
         name = path.removeprefix("/jobs/files/").removesuffix("/data")
         if name in self.jobs and path == f"/jobs/files/{name}":
             return {"jobName": name}
@@ -117,7 +127,7 @@ class Resources:
         raise RequestRefused(NOT_FOUND, "not found")
 
     def _visible(self) -> dict[str, Any]:
-        return {"serialNumber": self.serial, "model": self.model, "engineId": ENGINE, "path": SENSOR}
+        return {"serialNumber": self.serial, "model": self.model, "engineId": ENGINE, "path": SENSOR, "isLocal": True}
 
     def _scanner_metrics(self) -> dict[str, Any]:
         latency = {"currentSyncTime": 0, "processingLatencyAvg": 200, "processingLatencyMax": 250}
@@ -141,13 +151,15 @@ class Resources:
         if path == "/system":
             self.quick_edit = bool(payload.get("quickEditEnabled", self.quick_edit))
             return {}
+        if path.startswith(DIGITAL_OUTPUT):
+            return _done(self.digital_output.update(path, payload))
         target = {GROUP: self.group, SENSOR: self.sensor}.get(path)
         if target is None:
             raise RequestRefused(NOT_FOUND, "not found")
         if self.running:
             raise RequestRefused(WRONG_STATE, "settings cannot be changed while the system runs")
         wanted = merged(target, payload.get("parameters", {}))
-        low, high = EXPOSURE_LIMITS_US
+        low, high = LIMITS["singleExposure"]["minimum"], LIMITS["singleExposure"]["maximum"]
         if path == SENSOR and not low <= float(wanted["exposureSettings"]["singleExposure"]) <= high:
             raise RequestRefused(PARAMETER, f"singleExposure is out of range {low:g} to {high:g}")
         target.update(wanted)
@@ -201,10 +213,27 @@ class Resources:
             "/controls/gocator/outputs/commands/remove": self._remove_output,
             "/controls/gocator/outputs/commands/removeAll": lambda _: self.outputs.clear(),
         }
+        if path == "/system/commands/archive":
+            return {"content": b"backup of " + self.serial.encode()}
+        if path.startswith(DIGITAL_OUTPUT):
+            return _done(self.digital_output.call(path, payload))
         if path not in calls:
             raise RequestRefused(NOT_FOUND, "not found")
         calls[path](payload)
         return {}
+
+    def _create(self, path: str, payload: dict[str, Any]) -> dict[str, Any]:
+        if path == "/jobs/files":
+            self._keep_job(str(payload.get("name", "")), bytes(payload.get("content") or b""))
+            return {"path": f"/jobs/files/{payload['name']}"}
+        if path == f"{GROUP}/sensors":
+            raise RequestRefused(NOT_FOUND, f"there is no sensor {payload.get('serialNumber')} on this network")
+        if path == f"{ENGINES}/{ENGINE}/scanners":
+            raise RequestRefused(EXISTS, "this sensor has one scanner")
+        found = self.digital_output.create(path, payload)
+        if found is None:
+            raise RequestRefused(NOT_FOUND, "not found")
+        return found
 
     def _run(self, on: bool) -> None:
         before, self.running = self.running, on
@@ -263,12 +292,21 @@ class Resources:
         self.outputs[:] = left
 
 
-def children(paths: list[str], contents: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+def _done(refusal: str | None) -> dict[str, Any]:
+    """The answer to a change of the digital outputs; refusal: None where there is no such path, '' where it is done."""
+    if refusal is None:
+        raise RequestRefused(NOT_FOUND, "not found")
+    if refusal:
+        raise RequestRefused(PARAMETER, refusal)
+    return {}
+
+
+def children(paths: list[str], contents: list[dict[str, Any]] | None = None, relation: str = "item") -> dict[str, Any]:
     """A resource that embeds others, as HAL writes it; nothing is embedded where there are none."""
     if not paths:
         return {}
     extra = contents or [{} for _ in paths]
-    return {"_embedded": {"item": [{"_links": {"self": {"href": p}}, **c} for p, c in zip(paths, extra, strict=True)]}}
+    return {"_embedded": {relation: [{"_links": {"self": {"href": p}}, **c} for p, c in zip(paths, extra, strict=True)]}}
 
 
 def merged(target: dict[str, Any], patch: dict[str, Any]) -> dict[str, Any]:

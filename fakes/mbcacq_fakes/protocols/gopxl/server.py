@@ -212,6 +212,9 @@ class FakeGoPxL(Started):
             elif source == resources.LASER_SURFACE:
                 body = encode.surface(frame, True, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
                 parts.append((encode.UNIFORM_SURFACE, source, number, body))
+            elif source == resources.TOOL:
+                middle = encode.measurement(encode.middle_of_profile(frame), s.new_form)
+                parts.append((encode.MEASUREMENT, source, number, middle))
             elif source in stamps:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):

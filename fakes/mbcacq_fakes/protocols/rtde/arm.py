@@ -11,15 +11,16 @@ import ruckig
 JERK = 500.0  # rad/s^3
 BRAKE = 8.0  # rad/s^2
 LED_RAD_S = 1.0  # by a person, or by its own program
+SLIDER_PER_S = 4.0  # how fast the speed follows the slider: from stop to full in a quarter of a second
 
 
 class ProgrammedArm:
-    """q, qd: (6,) rad, rad/s. taken: number of the command that was taken up. still_s: since it stands still, by its own clock. state: gets
-    what the arm does, or None."""
+    """q, qd: (6,) rad, rad/s. taken: number of the command that was taken up. still_s: since it stands still, by its own clock. scale: of
+    speed, as the slider has it. state: gets what the arm does, or None."""
 
     def __init__(self, start_deg: Sequence[float], state: Any, clock_s: float) -> None:
         self.q, self.qd, self.time_s, self.still_s = np.radians(np.array(start_deg, dtype=float)), np.zeros(6), clock_s, 0.0
-        self.taken, self._arrivals, self._direction = 0, 0, np.zeros(6)
+        self.taken, self.scale, self._arrivals, self._direction = 0, 1.0, 0, np.zeros(6)
         self._state, self._motion, self._since = state, None, 0.0
         self.publish()
 
@@ -27,16 +28,16 @@ class ProgrammedArm:
     def moving(self) -> bool:
         return self._motion is not None
 
-    def obey(self, registers: Mapping[str, Any], speed_fraction: float) -> None:
+    def obey(self, registers: Mapping[str, Any]) -> None:
         """The input registers as they are now."""
-        if registers["input_int_register_0"] == self.taken:
+        if registers.get("input_int_register_0", self.taken) == self.taken:
             return
         self.taken = registers["input_int_register_0"]
         self.halt()
         if registers["input_int_register_1"] == 1:
             wanted = self._wanted()
             wanted.target_position = [registers[f"input_double_register_{k}"] for k in range(6)]
-            wanted.max_velocity = [registers["input_double_register_6"] * speed_fraction] * 6
+            wanted.max_velocity = [registers["input_double_register_6"]] * 6
             wanted.max_acceleration, wanted.max_jerk = [registers["input_double_register_7"]] * 6, [JERK] * 6
             self._begin(wanted)
 
@@ -52,22 +53,25 @@ class ProgrammedArm:
         """All axes to rest."""
         if self._motion is None:
             return
-        wanted = self._wanted()
+        wanted, self.scale = self._wanted(), 1.0  # brakes by the clock, whatever the slider says
         wanted.control_interface = ruckig.ControlInterface.Velocity
         wanted.target_velocity, wanted.max_acceleration, wanted.max_jerk = [0.0] * 6, [BRAKE] * 6, [JERK] * 6
         self._begin(wanted)
         while self._motion is not None:
             self.advance(0.002)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds: float, speed_fraction: float = 1.0) -> None:
+        """Time goes on. speed_fraction: of the slider; the arm follows it along the path it is on."""
         self.time_s += seconds
         self.still_s = 0.0 if self.moving else self.still_s + seconds
+        step = SLIDER_PER_S * seconds
+        self.scale += float(np.clip(speed_fraction - self.scale, -step, step)) if self.moving else speed_fraction - self.scale
         if self._motion is not None:
-            self._since = min(self._since + seconds, self._motion.duration)
+            self._since = min(self._since + seconds * self.scale, self._motion.duration)
             position, speed, _ = self._motion.at_time(self._since)
             turned = np.array(position) - self.q
             self._direction = np.where(np.abs(turned) > 1e-9, np.sign(turned), self._direction)
-            self.q, self.qd = np.array(position), np.array(speed)
+            self.q, self.qd = np.array(position), np.array(speed) * self.scale
             if self._since >= self._motion.duration:
                 self._motion, self.qd = None, np.zeros(6)
                 self._arrivals += 1

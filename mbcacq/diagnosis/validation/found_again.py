@@ -1,0 +1,81 @@
+"""Would it be found again? Each effect looked for among what the same search finds in parts of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain
+from mbcacq.diagnosis.evidence.between_sets import by_effect, difference, like, orders_matched
+from mbcacq.diagnosis.model_fit import ModelFit, PartModel
+from mbcacq.diagnosis.validation.folds import RepeatedSearch
+from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of
+from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.over_time import NAME as MOMENT
+from mbcacq.quantities import K
+
+Repetitions = Mapping[str, FoundAgain]  # by ``name:where``
+SAME_MOMENT = 0.05  # share of the poses within which two moments may be one: parts have not the same poses
+
+
+def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
+    """Each effect of a fit, and each location of its unmodelled ones, in the parts of a repeated search."""
+    if full.empty:
+        return {}
+    parts, own = again.models(lambda count: None), by_effect(full.model)
+    poses = full.geometry_only.linear.obs.n_poses
+    out = {}
+    for label in dict.fromkeys(m.label for m in full.model.members):
+        found = [part.stated[label] for part in parts if label in part.stated and same_moment(own[label], part.stated[label], poses)]
+        values = {name: tuple(stated[name] for stated in found if name in stated) for name in own[label]}
+        out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
+    for at in dict.fromkeys(group.location for group in full.random):
+        found_in = sum(shows(part, at) for part in parts)
+        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves)
+    return out
+
+
+def shows(part: PartModel, at: str) -> bool:
+    """Whether a part has something unmodelled at a location."""
+    return any(group.location == at for group in part.random)
+
+
+def same_moment(own: Parameters, other: Parameters, poses: int) -> bool:
+    """False for sudden changes at different moments: those are two events."""
+    moments = [name for name in own if name.rpartition(".")[2] == MOMENT and name in other]
+    for name in moments:
+        (mine, my_std), (theirs, their_std) = (map(np.array, one[name].components) for one in (own, other))
+        apart = np.abs(mine[:, None] - theirs).min(axis=1)
+        if np.any(apart > np.maximum(K * np.hypot(my_std, np.max(their_std)), SAME_MOMENT * poses)):
+            return False
+    return True
+
+
+def with_spread_between_parts(effects: Sequence[EffectFound]) -> list[EffectFound]:
+    """The effects with standard deviations that are no smaller than disjoint parts of the recording say (delete-a-group jackknife)."""
+    return [replace(e, parameters=_spread(e)) if any(one.disjoint for one in e.found_again) else e for e in effects]
+
+
+def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
+    out = dict(effect.parameters)
+    for one in effect.found_again:
+        here = {name: effect.parameters[name] for name in one.values if name in effect.parameters}
+        count = min((len(each) for each in one.values.values()), default=0)
+        if count < 2 or not one.disjoint:
+            continue
+        parts = [orders_matched({name: one.values[name][k] for name in here}, here) for k in range(count)]
+        for name, stated in here.items():
+            values, stds = (np.array(x) for x in stated.components)
+            if all(np.shape(part[name].components) == np.shape(stated.components) for part in parts):
+                away = np.array([difference(name, part[name], stated) for part in parts])
+                spread = jackknife(away)
+                out[name] = like(stated, values, np.where(np.isfinite(spread), np.maximum(stds, spread), stds))
+    return out
+
+
+def jackknife(values: np.ndarray) -> np.ndarray:
+    """Standard deviation (k,) of what all of the data say, by what it is without each of n disjoint groups, values (n, k)."""
+    n = len(values)
+    return np.sqrt((n - 1) / n * np.sum((values - values.mean(axis=0)) ** 2, axis=0))

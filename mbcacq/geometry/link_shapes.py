@@ -1,0 +1,29 @@
+"""An arm as capsules along its MD-H rows, for every picture of it: each link goes along its z by d, then along its x by a."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+
+SHOULDER, WRIST = 0.042, 0.42  # radius of the first link of the reach; of the last link of that of the first
+
+
+def link_radii(chain: Chain) -> np.ndarray:
+    """(n,) mm, from shoulder to wrist."""
+    return SHOULDER * float(np.sum(np.hypot(chain.a, chain.d))) * np.linspace(1.0, WRIST, chain.n)
+
+
+def link_corners(chain: Chain) -> np.ndarray:
+    """(n, 3, 3) mm: where the axis of each link begins, bends and ends, in the link's own frame."""
+    step = se3.inverse(chain.link_transforms(-chain.sign * chain.theta[None])[0])  # joint turned to zero: the rigid part of each row
+    zero = np.zeros(chain.n)
+    corners = np.stack([np.column_stack(xyz) for xyz in ((zero, zero, zero), (zero, zero, chain.d), (chain.a, zero, chain.d))], axis=1)
+    return se3.apply(step[:, None], corners)
+
+
+def arm_outline(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """(3 n, 3) mm in the base: the corners of all links at joint angles q (n,) rad."""
+    frames = chain.frames(q[None])[0, 1:]
+    return se3.apply(frames[:, None], link_corners(chain)).reshape(-1, 3)

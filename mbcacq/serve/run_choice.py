@@ -1,0 +1,90 @@
+"""Which of many runs one page shows: a search, a kind, a cell, and then a page of them, the newest first."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+from mbcacq.recording.run_folder.lock import lock_owner
+from mbcacq.recording.run_folder.register import RunKind, kind_of
+from mbcacq.serve.run_list import ListedFolder
+
+ON_A_PAGE = 50
+NAMED = re.compile(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)_(check-)?(.+)")  # as commands name the folder of a recording
+
+
+def cell_of(run: ListedFolder) -> str:
+    """What the name of a folder says was measured: plan or cell, without time and kind."""
+    named = NAMED.fullmatch(run.folder.name)
+    return named[6] if named else run.folder.name
+
+
+def time_of(run: ListedFolder) -> str:
+    """Date and time by the name of the folder; of another name, its last change (UTC)."""
+    if named := NAMED.fullmatch(run.folder.name):
+        return f"{named[1]} {named[2]}:{named[3]}:{named[4]}"
+    try:
+        return f"{datetime.fromtimestamp(run.folder.stat().st_mtime, UTC):%Y-%m-%d %H:%M:%S}"
+    except (OSError, OverflowError, ValueError):
+        return ""
+
+
+@dataclass(frozen=True)
+class RunChoice:
+    """What is asked for: words that names or dates have, a kind, a cell, and the number of the page, from 1."""
+
+    words: str = ""
+    kind: str = ""
+    cell: str = ""
+    page: int = 1
+
+    @classmethod
+    def asked(cls, given: Callable[[str], str | None]) -> RunChoice:
+        """From the fields of an address; what makes no sense counts as not given."""
+        words, kind, cell, page = ((given(name) or "")[:200] for name in ("q", "kind", "cell", "page"))
+        number = int(page) if page.isascii() and page.isdigit() and len(page) < 7 else 1
+        return cls(words.strip(), kind if kind in set(RunKind) else "", cell, max(number, 1))
+
+    def fits(self, run: ListedFolder, when: str) -> bool:
+        said = f"{run.name} {when}".lower()
+        return (
+            all(word in said for word in self.words.lower().split())
+            and self.cell in ("", cell_of(run))
+            and (not self.kind or kind_of(run.folder) == self.kind)
+        )
+
+    def at(self, page: int) -> RunChoice:
+        return replace(self, page=page)
+
+    @property
+    def fields(self) -> dict[str, str | int]:
+        """Those of the address, without what is not asked for."""
+        given = {"q": self.words, "kind": self.kind, "cell": self.cell, "page": self.page if self.page > 1 else ""}
+        return {name: value for name, value in given.items() if value}
+
+
+@dataclass(frozen=True)
+class ChosenRuns:
+    """shown: of one page. locked: that a process holds, or has left its name in. cells: names and numbers of recordings, of all runs."""
+
+    shown: list[ListedFolder]
+    locked: list[ListedFolder]
+    cells: dict[str, int]
+    number: int
+    pages: int
+
+
+def chosen(runs: list[ListedFolder], choice: RunChoice) -> ChosenRuns:
+    """Without reading more of a run than its name, its lock, and its kind where one is asked for."""
+    times = {run.key: time_of(run) for run in runs}
+    fitting = sorted((r for r in runs if choice.fits(r, times[r.key])), key=lambda r: (times[r.key], r.name), reverse=True)
+    cells: dict[str, int] = {}
+    for run in runs:
+        cells[cell_of(run)] = cells.get(cell_of(run), 0) + 1
+    pages = max(-(-len(fitting) // ON_A_PAGE), 1)
+    first = ON_A_PAGE * (min(choice.page, pages) - 1)
+    several = {name: count for name, count in sorted(cells.items(), key=lambda one: -one[1]) if count > 1}
+    locked = [run for run in runs if lock_owner(run.folder) is not None]
+    return ChosenRuns(fitting[first : first + ON_A_PAGE], locked, several, len(fitting), pages)

@@ -1,0 +1,133 @@
+"""What a recording shows, its halves show again, or it is said that they do not; an order is stated with all that it may be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
+from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
+from mbcacq.diagnosis.output.orders import stated_orders
+from mbcacq.diagnosis.output.repetition import sentences
+from mbcacq.diagnosis.validation.folds import blocks
+from mbcacq.diagnosis.validation.found_again import jackknife, with_spread_between_parts
+from mbcacq.diagnosis.verdict import not_found_again
+from mbcacq.effects.effect import ParameterEstimate
+
+RESOLUTION = 0.7  # of a joint that was seen over 514 degrees
+
+
+def gear(orders, sigmas, amplitudes=None, halves=None, found_in=2):
+    """Lines of A6, and what two halves have in their place."""
+    k = len(orders)
+    amplitudes = np.full(k, 0.02) if amplitudes is None else np.array(amplitudes)
+
+    def stated(orders, sigmas, amplitudes):
+        each = {
+            "order": (orders, sigmas),
+            "amplitude_deg": (amplitudes, [5e-4] * len(orders)),
+            "phase_deg": ([30.0] * len(orders), [2.0] * len(orders)),
+        }
+        return {f"A6.{name}": ParameterEstimate(tuple(v), tuple(s)) for name, (v, s) in each.items()}
+
+    again = ()
+    if halves is not None:
+        parts = [stated(one, [0.01] * len(one), np.full(len(one), 0.02)) for one in halves]
+        again = (FoundAgain("A6", found_in, 2, True, {name: tuple(p[name] for p in parts) for name in parts[0]}),)
+    return EffectFound(
+        name="gear_transmission_error",
+        where=("A6",),
+        parameters=stated(orders, sigmas, amplitudes),
+        p_value=1e-9,
+        held_out_gain=0.9,
+        found_again=again,
+    )
+
+
+def with_orders(effect, others=None):
+    (parts,) = effect.found_again or (None,)
+    return stated_orders(effect, "A6", others or [()] * 9, parts, RESOLUTION)
+
+
+def test_an_order_that_both_halves_have_is_stated_no_surer_than_they_agree():
+    found = with_orders(gear([22.0], [0.003], halves=[[21.98], [22.04]]))
+    assert found.parameters["A6.order"].value == 22.0
+    assert found.parameters["A6.order"].std == pytest.approx(0.03)
+    assert [(one.order, one.odds, one.determined) for one in found.orders] == [(22.0, 1.0, True)]
+
+
+def test_an_alias_that_one_half_has_is_an_order_that_it_may_be():
+    found = with_orders(gear([10.99], [0.005], halves=[[10.98], [11.98]]))
+    assert [(one.order, one.odds) for one in found.orders] == [(10.99, 1.0), (11.98, 1.0)]
+    assert not any(name.endswith(("order", "phase_deg")) for name in found.parameters)
+    assert found.parameters["A6.rms_deg"].value == pytest.approx(0.02 / np.sqrt(2))
+    (line,) = [line for line in sentences(found) if "of order" in line]
+    assert line == "A6: a line of order 10.990 ± 0.010 or 11.980 ± 0.020 (odds 1 : 1)"
+
+
+def test_a_line_that_one_half_lacks_is_not_determined_and_the_other_lines_are():
+    found = with_orders(gear([11.0, 22.0], [0.01, 0.01], halves=[[11.0, 22.0], [22.0]]))
+    assert found.parameters["A6.order"].value == 22.0
+    assert {(one.order, one.determined) for one in found.orders} == {(11.0, False), (22.0, True)}
+    assert "A6: the order of 1 of 2 lines is not determined (about 11)" in " ".join(sentences(found))
+
+
+@pytest.mark.parametrize(("sigma", "determined"), [(0.24, True), (0.26, False), (0.6, False)])
+def test_an_order_that_does_not_tell_whole_numbers_apart_is_not_stated(sigma, determined):
+    found = with_orders(gear([1.0], [sigma]))
+    assert ("A6.order" in found.parameters) is determined
+    assert ("A6.rms_deg" in found.parameters) is not determined
+
+
+def test_more_than_three_peaks_leave_an_order_undetermined():
+    peaks = tuple(OrderPeak(7.0 + 24 * k, 0.01, 0.9) for k in range(1, 4))
+    two, four = (with_orders(gear([7.0], [0.01]), [peaks[:n]]) for n in (1, 3))
+    assert all(one.determined for one in two.orders)
+    assert not any(one.determined for one in four.orders)
+    assert len(four.orders) == 4
+
+
+def test_what_halves_do_not_both_show_is_a_trend_and_explains_nothing():
+    once, twice = (replace(gear([3.0], [0.01]), found_again=(FoundAgain("A6", n, 2, True),)) for n in (1, 2))
+    assert once.trend == NOT_FOUND_AGAIN
+    assert twice.trend == ""
+    assert not_found_again([twice]) == []
+    (note,) = not_found_again([once, twice])
+    assert note.startswith("halves of the recording do not both show gear_transmission_error at A6")
+    assert "found again in 1 of 2 halves by blocks" in sentences(once)
+    few = replace(once, found_again=(FoundAgain("A6", 3, 4, False),))
+    assert few.trend == ""
+    assert "found again in 3 of 4 searches without a part of the poses (too few poses for halves)" in sentences(few)
+
+
+def test_a_size_is_no_surer_than_halves_agree():
+    soft = EffectFound(
+        name="joint_compliance",
+        where=("A2",),
+        parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(9e-6, 1e-7)},
+        p_value=1e-9,
+        held_out_gain=0.9,
+        found_again=(
+            FoundAgain("A2", 2, 2, True, {"A2.compliance_rad_per_Nm": tuple(ParameterEstimate(v, 2e-7) for v in (9.9e-6, 7.3e-6))}),
+        ),
+    )
+    (found,) = with_spread_between_parts([soft])
+    assert found.parameters["A2.compliance_rad_per_Nm"] == ParameterEstimate(9e-6, pytest.approx(1.3e-6))
+    overlapping = replace(soft, found_again=tuple(replace(one, disjoint=False) for one in soft.found_again))
+    assert with_spread_between_parts([overlapping]) == [overlapping]
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error():
+    values = np.random.default_rng(2).normal(size=12)
+    without = [np.delete(values, k).mean() for k in range(12)]
+    assert jackknife(np.array(without)[:, None])[0] == pytest.approx(values.std(ddof=1) / np.sqrt(12))
+
+
+def test_halves_are_blocks_that_share_no_pose():
+    obs = simulated.plan(6, 2, 6)
+    half = blocks(obs, 2)
+    order = np.argsort(obs.time_s)
+    assert np.array_equal(np.unique(half), [0, 1])
+    assert abs(np.sum(half == 0) - np.sum(half == 1)) <= 8
+    assert np.sum(np.diff(half[order]) != 0) == 7
