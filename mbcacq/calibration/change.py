@@ -36,8 +36,8 @@ class ChangeOptions:
     false_alarms: float = 0.01  # of recordings in which nothing changed
     prior: float = 0.1  # probability that something changes while a recording is made
     suspected: float = -2.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
-    worth_saying: float = 0.05  # probability of a change
-    negligible: float = 1e-4  # share of the probability of all changes, below which a moment is left out of the average
+    notable: float = 0.05  # probability of a change
+    negligible: float = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
     rejected_of_ball: float = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
     least_side: int = 3  # poses on either side of a moment
     most_poses: int = 4000  # whose columns fit into memory
@@ -299,13 +299,13 @@ def _second_moment(look: _Look, kinds: list[KindOfChange]) -> np.ndarray:
     total = np.zeros_like(test.covariance)
     for kind, steps, log_bf in zip(kinds, look.steps, look.log_bf, strict=True):
         t = np.flatnonzero(log_bf > look.log_e + np.log(OPTIONS.negligible))
-        chance, root, (mean, square) = np.exp(log_bf[t] - look.log_e), steps.root[t], steps.shrinkage(t)
+        share, root, (mean, square) = np.exp(log_bf[t] - look.log_e), steps.root[t], steps.shrinkage(t)
         value = np.einsum("tkl,tml,tm->tk", root, root, steps.right[t])
         absorbed = test.covariance @ np.swapaxes(steps.with_parameters[t], 1, 2)
         mounted = _after_mount(test.solution, kind)
         states = (absorbed,) if mounted is None else (absorbed, absorbed - mounted)
         for G in states:
-            w, off, spread = chance / len(states), (G @ value[..., None])[..., 0], G @ root
+            w, off, spread = share / len(states), (G @ value[..., None])[..., 0], G @ root
             cross = np.outer(test.step, (w * mean) @ off)
             total += w.sum() * np.outer(test.step, test.step) - cross - cross.T
             total += (off * (w * square)[:, None]).T @ off + np.einsum("t,tgk,thk->gh", w * mean, spread, spread, optimize=True)

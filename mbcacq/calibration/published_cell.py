@@ -60,7 +60,7 @@ def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> Calib
     """
     if change.second_moment is None:
         return cell
-    said = {"change_probability": change.probability} if change.probability > OPTIONS.worth_saying else {}
+    said = {"change_probability": change.probability} if change.probability > OPTIONS.notable else {}
     covariance = cell.covariance + change.probability * change.second_moment
     return replace(cell, covariance=covariance, extra={**cell.extra, **said})
 
