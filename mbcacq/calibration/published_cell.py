@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import ChangeFound
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
 from mbcacq.estimation.options import copies
@@ -46,6 +46,19 @@ def warned(cell: CalibratedCell, sentence: str, first: bool = False, **further: 
     """The cell with one more warning, and further values of ``extra``."""
     before = cell.extra.get("warnings", ())
     return replace(cell, extra={**cell.extra, **further, "warnings": [sentence, *before] if first else [*before, sentence]})
+
+
+def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> CalibratedCell:
+    """The cell with a covariance that counts changes while it was recorded, found or not, each by its probability.
+
+    The second moment of the error about what is published, C + p M with M that of the error where something changed (Bayesian model
+    averaging). 'change_probability' of ``extra`` is p, where it is worth saying.
+    """
+    if change.second_moment is None:
+        return cell
+    said = {"change_probability": change.probability} if change.probability > OPTIONS.notable else {}
+    covariance = cell.covariance + change.probability * change.second_moment
+    return replace(cell, covariance=covariance, extra={**cell.extra, **said})
 
 
 def with_accident(cell: CalibratedCell, accident: ChangeFound | str | None) -> CalibratedCell:
