@@ -83,18 +83,10 @@ def command(
     if poses is not None:
         clouds = arm_positions.clouds_in(cloud, (".ply", ".pcd"))
         positions, matched = arm_positions.positions_in(poses, known, clouds, orientation)
-        folder = out or cloud.with_name(f"{cloud.name}_base")
-        outputs = [folder / f"{one.stem}_base.ply" for one in clouds]
-        if twice := next((one for one in outputs if outputs.count(one) > 1), None):
-            raise ConfigError(f"two clouds of {cloud} would become {twice}; rename one")
     else:
         clouds = [cloud]
         positions = [arm_positions.typed_joints(joints) if joints is not None else arm_positions.typed_flange(flange or "", orientation)]
-        outputs = [out or cloud.with_name(f"{cloud.stem}_base.ply")]
-    if there := next((one for one in outputs if one.exists() and not force), None):
-        raise ConfigError(f"{there} exists; give another --out, or --force to replace it")
-    if poses is not None:
-        outputs[0].parent.mkdir(parents=True, exist_ok=True)
+    outputs = _outputs(clouds, out or cloud.with_name(f"{cloud.name}_base"), force) if poses else _output(cloud, out, force)
     placed = []
     with StepProgress() as steps:
         for one, position, output in zip(clouds, positions, outputs, strict=True):
@@ -114,6 +106,26 @@ def command(
         echo(f"{one['output']}: {one['points']} points in the base frame")
         echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
     say_next(*judge_first(result))
+
+
+def _output(cloud: Path, out: Path | None, force: bool) -> list[Path]:
+    """The file of one cloud. Raises ConfigError where it is there and ``force`` is not given."""
+    from mbcacq.workflow.load import refuse_existing
+
+    made = out or cloud.with_name(f"{cloud.stem}_base.ply")
+    refuse_existing(made, force, f"{made} exists; give another --out, or --force to replace it")
+    return [made]
+
+
+def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
+    """The files of several clouds in a folder, which is made. Raises ConfigError where two are one, or one is there."""
+    from mbcacq.errors import ConfigError
+
+    made = [path for one in clouds for path in _output(one, folder / f"{one.stem}_base.ply", force)]
+    if twice := next((path for path in made if made.count(path) > 1), None):
+        raise ConfigError(f"two clouds would become {twice}; rename one")
+    folder.mkdir(parents=True, exist_ok=True)
+    return made
 
 
 def _placed(known: Mapping[str, Any], cloud: Path, position: ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
