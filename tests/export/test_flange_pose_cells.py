@@ -45,16 +45,17 @@ def cell(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flange")
     code, said = run("data", "new", table(folder / "views.csv", 1), "--eye-in-hand", "--out", folder / "set")
     assert code == 0, said
-    (folder / "run").mkdir()
-    code, said = run("calibrate", folder / "set", "--hand-eye-only", "--out", folder / "run" / "result.json")
-    assert code == 0, said
-    assert not JOINTS.search(said)
+    for name, data in (("run", folder / "set"), ("later", table(folder / "later.csv", 2))):
+        (folder / name).mkdir()
+        code, said = run("calibrate", data, "--hand-eye-only", "--out", folder / name / "result.json")
+        assert code == 0, said
+        assert not JOINTS.search(said)
     return folder
 
 
 WORKS = [
     ("compare", "set"),
-    ("compare", "run", "run"),
+    ("compare", "run", "later"),
     ("report", "set"),
     ("export", "run", "--results", "exported"),
     ("export", "set", "--observations", "copied"),
@@ -75,7 +76,7 @@ CANNOT = [
 
 @pytest.mark.parametrize("words", [*WORKS, *CANNOT], ids=" ".join)
 def test_every_command_works_on_it_or_says_why_not_in_a_sentence(words, cell, tmp_path, monkeypatch):
-    for part in ("set", "run"):
+    for part in ("set", "run", "later"):
         shutil.copytree(cell / part, tmp_path / part)
     table(tmp_path / "views.csv", 7)
     (tmp_path / "program.src").write_text("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\n")
