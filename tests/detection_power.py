@@ -18,7 +18,7 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mbcacq.diagnosis.model_fit import fit_model, fit_part, prepare
+from mbcacq.diagnosis.model_fit import fit_model, fit_part
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load_observations

@@ -9,13 +9,14 @@ affine instead of rigid T_e and T_s the equations are linear: that is the start;
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.calibration.description_hypotheses import Misreading, exchanged_balls, hypotheses, other_arms
-from mbcacq.errors import CalibrationError
+from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -71,10 +72,16 @@ def misdescribed(obs: Observations) -> str:
     return f"{arm}; name that arm" if arm else ""
 
 
-def with_likely_cause(error: CalibrationError, observations: Observations) -> CalibrationError:
-    """The error with the simple change of the description that removes most of the misfit, where there is one."""
-    found = misdescribed(observations)
-    return CalibrationError(f"{error}; {found}") if found else error
+@contextmanager
+def likely_cause_named(observations: Observations) -> Iterator[None]:
+    """Where the recording contradicts its cell in the context, the error names the simple change of the description that removes most of
+    the misfit, if there is one.
+    """
+    try:
+        yield
+    except ContradictionError as error:
+        found = misdescribed(observations)
+        raise (CalibrationError(f"{error}; {found}") if found else error) from None
 
 
 def wrong_descriptions(observations: Observations) -> tuple[DescriptionFinding, ...]:

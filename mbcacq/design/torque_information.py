@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
-from mbcacq.diagnosis.motion.determination import canonical_correlation
+from mbcacq.diagnosis.motion.load_error import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare, with_torque
 from mbcacq.diagnosis.search.effect_set import Member

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.executor import Executor, Refit, Refitting, WorkerPool, executor
 from mbcacq.diagnosis.formulas.propose import propose
@@ -23,7 +22,7 @@ from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.validation.found_again import repetitions
 from mbcacq.diagnosis.verdict import conclude, judge
-from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -75,8 +74,6 @@ def diagnose(
     try:
         with executor(workers, minutes) as by:
             return _diagnose(recordings, asked, by)
-    except ContradictionError as error:
-        raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
@@ -116,8 +113,8 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = replace(conclude(problem, judge(problem, full, validation, repeated)), model=kept or None)
     if asked.formulas:
-        proposed = propose(problem, full, result.effects, asked.progress)
-        result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
+        proposals, tried = propose(problem, full, result.effects, asked.progress)
+        result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
     dependences = tuple(one.entry for one in variations)
     noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *notes)
     result = replace(result, notes=noted, noise_depends_on=dependences)

@@ -77,6 +77,11 @@ class ComparedEffect:
     prior: Mapping[str, ParameterEstimate] = field(default_factory=dict)
     log_prior: float | None = None
 
+    @property
+    def label(self) -> str:
+        """``name:where``."""
+        return label_of(self.name, self.where)
+
 
 @dataclass(frozen=True)
 class ComparedSet:
@@ -122,7 +127,7 @@ class EvidenceSummary:
         """The most probable set with those of some effects (``name:where``) that were compared here, and no other; else the most probable
         one without any other; None where there is none.
         """
-        each = [(one, {label_of(e.name, e.where) for e in one.effects}) for one in self.sets]
+        each = [(one, {e.label for e in one.effects}) for one in self.sets]
         here = set().union(*(known for _, known in each)) & set(labels)
         found = [one for one, known in each if known == here] or [one for one, known in each if known <= here]
         return next(iter(found), None)

@@ -13,40 +13,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
-from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, with_untried_rivals
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, geometry_of, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized, widened
 from mbcacq.diagnosis.output.kept_model import term_of
-from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, prepare
+from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
-from mbcacq.effects.effect import Candidate, Parameters, label_of
+from mbcacq.effects.effect import Candidate, Parameters
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import one_thread
 from mbcacq.estimation.terms import Term, term
 from mbcacq.model.observations import Observations
 
 LEAST_INFORMATION = 1e-6  # of the poses on a coefficient, next to what is given: below, what they state is not a number
-
-
-@dataclass(frozen=True)
-class StatedParameters:
-    """A statement about an effect from something else than the poses: its parameters in the words of the poses, value and std by name."""
-
-    name: str
-    where: tuple[str, ...]
-    parameters: Parameters
-
-    @property
-    def label(self) -> str:
-        """``name:where``."""
-        return label_of(self.name, self.where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,24 +53,29 @@ class PosesGiven:
         if best is None or not all(can_be_kept(m.candidate, m.hyper) for m in best.members):
             return None
         obs = self.problem.linear.obs
-        here, found = Covariates(obs), coefficients(best)
+        here, found = Covariates(obs), best.solved
         terms = [
-            term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
+            term_of(here, m.candidate, m.hyper, found.coefficients[own], found.std[own])
             for m, own in zip(best.members, found.slices(), strict=True)
         ]
-        held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True) for g in self.problem.given]
+        given = self.problem.given
+        held = [
+            replace(term_of(here, m.candidate, None, given.coefficients[own], given.std[own]), held=True)
+            for m, own in zip(given.members, given.slices(), strict=True)
+        ]
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)
 
 
-def evidence_given(obs: Observations, stated: Sequence[StatedParameters], options: CalibrationOptions | None = None) -> PosesGiven | None:
+def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options: CalibrationOptions | None = None) -> PosesGiven | None:
     """The sets of effects that the poses show beside those that something else states.
 
     Parameters
     ----------
     obs : Observations
         The poses.
-    stated : sequence of StatedParameters
-        Effects whose parameters are known. Those whose coefficients do not follow from their parameters are searched as all others.
+    stated : sequence of ComparedEffect
+        Effects whose parameters are known, in the words of the poses. Those whose coefficients do not follow from their parameters are
+        searched as all others.
     options : CalibrationOptions, optional
         Options of the adjustment.
 
@@ -100,50 +92,53 @@ def evidence_given(obs: Observations, stated: Sequence[StatedParameters], option
     chosen = options_for(obs, options or CalibrationOptions())
     try:
         with one_thread():
-            given = given_effects(prepare(obs, chosen), stated)
-            return _searched(obs, given, chosen) if given else None
+            problem = prepare(obs, chosen)
+            given = given_effects(problem, stated)
+            return _searched(obs, given, replace(chosen, displaced=as_displaced(problem.linear, given))) if given.members else None
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the poses do not determine the cell with what is given ({error})") from error
 
 
-def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> PosesGiven:
-    problem = with_given(prepare(obs, replace(options, displaced=tuple(map(as_displaced, given)))), given)
+def _searched(obs: Observations, given: EffectSet, options: CalibrationOptions) -> PosesGiven:
+    problem = with_given(prepare(obs, options), given)
     if problem.in_part:
         problem = problem.searched(problem.linear.keep)
     fit = with_untried_rivals(problem, fit_evidence(problem))
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
-    evidence = GivenEvidence(tuple(g.candidate.label for g in given), replace(found, sets=sets))
+    evidence = GivenEvidence(given.labels, replace(found, sets=sets))
     return PosesGiven(problem, evidence, hypotheses)
 
 
-def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis: Hypothesis) -> ComparedSet:
+def with_those_given(one: ComparedSet, given: EffectSet, hypothesis: Hypothesis) -> ComparedSet:
     """A set with the given effects in it, as the poses alone state them beside the others of the set.
 
     With the prior N(0, 1) and the posterior N(m, v) of a coefficient in its prior's standard deviations, the poses alone state
     N(m / (1 - v), v / (1 - v)).
     """
     mean, covariance = geometry_of(widened(hypothesis))
-    m, v = mean[-len(given) :], np.minimum(np.diag(covariance)[-len(given) :], 1 - LEAST_INFORMATION)
+    k = len(given.coefficients)
+    m, v = mean[-k:], np.minimum(np.diag(covariance)[-k:], 1 - LEAST_INFORMATION)
+    values, variances = given.coefficients + given.std * m / (1 - v), given.std**2 * v / (1 - v)
     effects = []
-    for g, centre, spread in zip(given, m / (1 - v), v / (1 - v), strict=True):
-        own = g.candidate.parameters(g.mean + g.std * centre, np.diag(g.std**2 * spread))
-        before = g.candidate.parameters(g.mean, np.diag(g.std**2))
-        effects.append(ComparedEffect(g.candidate.name, g.candidate.where, own, prior=before))
+    for c, own in ((member.candidate, own) for member, own in zip(given.members, given.slices(), strict=True)):
+        here, before = c.parameters(values[own], np.diag(variances[own])), c.parameters(given.coefficients[own], given.covariance[own, own])
+        effects.append(ComparedEffect(c.name, c.where, here, prior=before))
     return replace(one, effects=(*effects, *one.effects))
 
 
-def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters]) -> tuple[GivenEffect, ...]:
+def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -> EffectSet:
     """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters."""
     by_label = {one.label: one for one in stated}
-    found = []
+    members, mean, std = list[Member](), [np.zeros(0)], [np.zeros(0)]
     for candidate in problem.candidates:
         one = by_label.get(candidate.label)
         known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
         if known is not None:
-            parts = tuple(candidate_parts(problem.linear, candidate))
-            found.append(GivenEffect(candidate=candidate, parts=parts, mean=known[0], std=known[1]))
-    return tuple(found)
+            members.append(Member(candidate, None))
+            mean.append(known[0])
+            std.append(known[1])
+    return EffectSet(tuple(members), np.concatenate(mean), np.diag(np.concatenate(std) ** 2))
 
 
 def coefficient_of(candidate: Candidate, parameters: Parameters) -> tuple[np.ndarray, np.ndarray] | None:
@@ -164,14 +159,17 @@ def coefficient_of(candidate: Candidate, parameters: Parameters) -> tuple[np.nda
     return (mean / of_one, std / np.abs(of_one)) if np.isfinite(mean[0]) and std[0] > 0 else None
 
 
-def as_displaced(given: GivenEffect) -> tuple[Term, np.ndarray]:
-    """A given effect as a term with its means, both in standard deviations of its coefficients."""
-    parts = [replace(one, basis=one.basis * given.std) for one in given.parts]
-    return term(given.candidate.key, parts, sigma=1.0), given.mean / given.std
+def as_displaced(linear: LinearProblem, given: EffectSet) -> tuple[tuple[Term, np.ndarray], ...]:
+    """Each given effect as a term with its means, both in standard deviations of its coefficients."""
+    out = []
+    for member, own in zip(given.members, given.slices(), strict=True):
+        std = given.std[own]
+        parts = [replace(one, basis=one.basis * std) for one in candidate_parts(linear, member.candidate)]
+        out.append((term(member.candidate.key, parts, sigma=1.0), given.coefficients[own] / std))
+    return tuple(out)
 
 
-def with_given(problem: DiagnosisProblem, given: Sequence[GivenEffect]) -> DiagnosisProblem:
+def with_given(problem: DiagnosisProblem, given: EffectSet) -> DiagnosisProblem:
     """The problem with effects in it from the beginning, which are candidates no more."""
-    labels = {(g.candidate.name, g.candidate.where) for g in given}
-    left = [c for c in problem.candidates if (c.name, c.where) not in labels]
-    return replace(problem, candidates=left, given=tuple(given))
+    left = [c for c in problem.candidates if c.label not in given.labels]
+    return replace(problem, candidates=left, given=given)

@@ -8,22 +8,21 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.calibration.description import with_likely_cause
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.diagnosis.evidence.between_sets import alternatives_to
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.evidence_verdict import alternatives_to
 from mbcacq.diagnosis.findings import EvidenceSummary
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.model_fit import ModelFit, fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere, errors_elsewhere
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, elsewhere, errors_elsewhere
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import one_thread
 from mbcacq.model.observations import Observations
@@ -45,10 +44,10 @@ class InterimEvidence:
     def alternatives(self) -> list[Hypothesis]:
         """Sets that the evidence does not exclude in favour of the reported one, the most probable first; none without an effect."""
         fit = self.full.evidence
-        return sorted(alternatives_to(fit, self.reported), key=lambda h: -h.log_posterior) if fit.significant else []
+        return sorted((h for h, _ in alternatives_to(fit, self.reported)), key=lambda h: -h.log_posterior) if fit.significant else []
 
     @cached_property
-    def limited(self) -> list[SizedEffect]:
+    def limited(self) -> list[Member]:
         """Every candidate that was not found, at the largest size that is not excluded."""
         return limited_effects(self.problem, self.full, self._there)
 
@@ -69,7 +68,7 @@ class InterimEvidence:
                 out[effect.label] = out.get(effect.label, 0.0) + float(weight)
         return out
 
-    def _matters(self, effect: SizedEffect, limit_mm: float | None) -> bool:
+    def _matters(self, effect: Member, limit_mm: float | None) -> bool:
         error = None if limit_mm is None else errors_elsewhere(self._there, effect)[1]
         return limit_mm is None or error is None or error > limit_mm
 
@@ -90,9 +89,7 @@ class InterimEvidence:
         prior, there = SetPrior.of(self.problem.candidates, 1), {(c.name, c.where) for c in present}
         scored = evidence_of_candidates(found.conditioned, self.problem.candidates)
         logs = [
-            s.log_evidence + prior.log_probability(s.candidate, present)
-            for s in scored
-            if (s.candidate.name, s.candidate.where) not in there
+            log + prior.log_probability(m.candidate, present) for log, m in scored if (m.candidate.name, m.candidate.where) not in there
         ]
         return float(np.exp(min(np.logaddexp.reduce(logs), 50.0))) if logs else 0.0
 
@@ -122,7 +119,5 @@ def weigh(recordings: Observations | Sequence[Observations], options: Calibratio
         with one_thread():
             problem = prepare(recordings, options_for(first, options or CalibrationOptions()))
             return InterimEvidence(problem, fit_model(problem))
-    except ContradictionError as error:
-        raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error

@@ -55,6 +55,8 @@ class DiagnosisOptions:
     # Basis functions of unmodelled effects
     smooth: int = 5  # functions over the range of a covariate: a line and cosines
     fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
+    visits: tuple[float, ...] = (0.2, 1.5)  # poses after which the beginning of a visit has faded: the first one alone, the first few
+    settles_s: tuple[float, ...] = (5.0, 60.0)  # after a pause: the first pose alone, and what brakes, grease and rubber take
     shortest_period_mm: float = 8.0  # of periodic errors in the field of view
     varies: float = 0.02  # rad, or of the largest: what varies by less counts as constant
 

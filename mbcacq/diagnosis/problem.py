@@ -13,7 +13,7 @@ from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
@@ -24,21 +24,10 @@ from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.several_recordings import adjust_together
-from mbcacq.estimation.terms import Part
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
-
-
-@dataclass(frozen=True, kw_only=True)
-class GivenEffect:
-    """An effect of which something is known before the recording. parts: what it displaces; mean, std: (k,) of its coefficients."""
-
-    candidate: Candidate
-    parts: tuple[Part, ...]
-    mean: np.ndarray
-    std: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +50,8 @@ class DiagnosisProblem:
         The cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
     budget : TimeBudget
         Budget of the time for the search.
-    given : tuple[GivenEffect, ...]
-        Effects that are no candidates, since they are in the problem from the beginning.
+    given : EffectSet
+        Effects whose coefficients are known beforehand. They are no candidates, since they are in the problem from the beginning.
     """
 
     linear: LinearProblem
@@ -75,7 +64,7 @@ class DiagnosisProblem:
     undetermined: tuple[Undetermined, ...] = ()
     geometry_alone: tuple[GeometryAlone, ...] = ()
     budget: TimeBudget = UNLIMITED
-    given: tuple[GivenEffect, ...] = ()
+    given: EffectSet = NO_EFFECTS
 
     @property
     def in_part(self) -> bool:

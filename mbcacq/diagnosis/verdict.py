@@ -8,25 +8,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, pairs_not_separable, verdict_by_evidence, with_alternatives
+from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
+from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.next_measurements import SizedEffects, elsewhere, revealing, separating
+from mbcacq.diagnosis.output.next_measurements import elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
 from mbcacq.diagnosis.output.orders import with_orders
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 
@@ -44,7 +46,7 @@ class JudgedFit:
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
     not_separable: tuple[NotSeparable, ...]
-    pairs: tuple[tuple[SizedEffects, SizedEffects], ...]
+    pairs: tuple[tuple[Sequence[Member], Sequence[Member]], ...]
 
 
 NOTHING_REPEATED: Repetitions = {}
@@ -55,10 +57,11 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, 
     ``again``, are reported beside it.
     """
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
-    fit, contributions = full.evidence, Contributions(full)
+    contributions = Contributions(full)
     found = effects_by_contribution(full, contributions, validation, again)
     effects, mismatch = averaged_over_sets(full, with_alternatives(full, found)), mismatch_table(full, contributions, before)
-    not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
+    alike = pairs_not_separable(full.evidence)
+    pairs = (tuple(side.part(lambda m: m.candidate.name != UNKNOWN).with_coefficients for side in sides) for _, *sides in alike)
     return JudgedFit(
         full=full,
         validation=validation,
@@ -67,8 +70,8 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, 
         verdict=verdict_of(full),
         mismatch=mismatch,
         effects=effects,
-        not_separable=not_separable,
-        pairs=pairs,
+        not_separable=tuple(pair for pair, *_ in alike),
+        pairs=tuple((ours, theirs) for ours, theirs in pairs if ours and theirs),
     )
 
 

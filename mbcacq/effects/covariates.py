@@ -21,6 +21,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 LEAST_WIDTH = 5.0  # mm, second singular value of centres that are not on one line
+PAUSE = 3.0  # a pause is longer than so many times the usual time from pose to pose
 
 
 def artefact_normals(obs: Observations, R_base_flange: np.ndarray) -> np.ndarray:
@@ -75,6 +76,7 @@ LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves beh
 FAR = 1e3  # rad of travel, beyond any over which something fades
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
 _DIRECTION = re.compile(r"^gravity_direction_([0-9]+)_([xyz])$")
+_ALONG = re.compile(r"^gravity_along_([0-9]+)_([0-9]+)_([0-9]+)$")
 _PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
 
 
@@ -202,6 +204,41 @@ class Covariates:
         return self.obs.time_s - first[self.obs.recording]
 
     @cached_property
+    def pause(self) -> np.ndarray:
+        """(P,) s that passed since the pose measured before. Before the first pose the arm stood as long as ever after.
+        Raises Missing where the recording has no times.
+        """
+        listed = np.argsort(self.order, kind="stable")
+        gaps = np.diff(self.time[listed], prepend=np.nan)
+        gaps[gaps < 0] = np.nan  # the first pose of another recording
+        out = np.empty(len(gaps))
+        out[listed] = np.where(np.isnan(gaps), np.nanmax(gaps), gaps)
+        return out
+
+    @cached_property
+    def since_pause(self) -> np.ndarray:
+        """(P,) s since the last pause, which is longer than ``PAUSE`` times the usual time from pose to pose. Raises Missing where the
+        recording has no times."""
+        listed = np.argsort(self.order, kind="stable")
+        first = self.pause[listed] > PAUSE * np.median(self.pause)
+        first[0] = True
+        begun = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0))
+        out, time = np.empty(len(first)), self.time[listed]
+        out[listed] = time - time[begun]
+        return out
+
+    @cached_property
+    def visit(self) -> np.ndarray:
+        """(P,) number of each pose within a visit to its station, from 0 for the first."""
+        listed = np.argsort(self.order, kind="stable")
+        station = self.obs.station[listed]
+        first = np.r_[True, np.diff(station) != 0]
+        begun = np.maximum.accumulate(np.where(first, np.arange(len(station)), 0))
+        out = np.empty(len(station))
+        out[listed] = np.arange(len(station)) - begun
+        return out
+
+    @cached_property
     def lean(self) -> np.ndarray:
         """(P, 3) unit normal of the artefact that each pose looks at, in the scanner's axes."""
         return artefact_normals(self.obs, self.nominal_frames[:, -1, :3, :3])
@@ -257,6 +294,9 @@ class Covariates:
             "time": lambda: self.time,
             "pose": lambda: self.order.astype(float),
             "station": lambda: obs.station.astype(float),
+            "pause": lambda: self.pause,
+            "since_pause": lambda: self.since_pause,
+            "visit": lambda: self.visit,
             "ball": lambda: np.array(obs.cell.ball_ids, dtype=float)[obs.ball],
             "payload_kg": lambda: self.payload_mass,
             RECORDING: lambda: self._recording,
@@ -314,6 +354,10 @@ class Covariates:
             return self.gravity_moment(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
         if match := _DIRECTION.match(name):
             return self.gravity_direction(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
+        if (match := _ALONG.match(name)) and int(match[1]) <= self.n:
+            azimuth, elevation = np.radians([float(match[2]), float(match[3])])
+            along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+            return self.gravity_direction(int(match[1])) @ along
         if match := _PAYLOAD_TORQUE.match(name):
             column = ("mass", "x", "y", "z").index(match[2])
             return self.payload_torque[:, int(match[1]) - 1, column] if int(match[1]) <= self.n else None

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -139,6 +139,8 @@ Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 class EffectRows(Protocol):
     """What an effect adds to the rows of a kind of recording, linear in its coefficients: ``StandstillRows``, or ``MotionRows`` in time."""
 
+    hyper_digits: ClassVar[int | None]
+
     @property
     def typical(self) -> np.ndarray: ...
 
@@ -159,6 +161,8 @@ class StandstillRows:
         (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
         of it is.
     """
+
+    hyper_digits: ClassVar[int | None] = 1  # by which values of a hyper-parameter are told apart
 
     described: Described
     typical: np.ndarray

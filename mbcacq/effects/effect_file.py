@@ -27,7 +27,7 @@ _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(
     r"^(?:q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
 )
-_OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
+_OF_FRAME = re.compile(r"^gravity_(?:moment|direction|along)_([0-9]+)_(?:[xyz]|[0-9]+_[0-9]+)$")
 Three = tuple[Number, Number, Number]
 
 

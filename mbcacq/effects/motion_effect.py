@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -69,6 +69,16 @@ class ChannelGroup:
     refit: bool
     signal: tuple[np.ndarray, ...] = ()
 
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which its errors are shown: degrees for angles."""
+        return "deg" if self.unit == "rad" else self.unit
+
+    @property
+    def scale(self) -> float:
+        """From the unit of the computation to the one that is shown."""
+        return float(np.degrees(1)) if self.unit == "rad" else 1.0
+
     def index(self, joint: int) -> int:
         """The column of a joint in the arrays (T, J) of this group."""
         return self.joints.index(joint)
@@ -109,6 +119,8 @@ class MotionRows:
     typical
         (k,) sizes of the coefficients as the search compares them, which follow from sigma or from the recording.
     """
+
+    hyper_digits: ClassVar[int | None] = None  # a hyper-parameter is found with the coefficients: no two values are alike
 
     joints: tuple[int, ...]
     columns: Columns

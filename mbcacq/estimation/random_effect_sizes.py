@@ -6,7 +6,7 @@ their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,7 +151,6 @@ def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray])
     """Normal equations S (k, k), b (k,) of the groups' coefficients, without their priors and in units of their present sigma, the other
     parameters eliminated; and the slice of each group."""
     index = np.concatenate(list(groups.values()))
-    ends = np.cumsum([0] + [len(i) for i in groups.values()])
     sigma, now = prior.sigma[index], np.zeros(normal.size)
     now[index] = prior.offset[index]
     weight = np.zeros(normal.size)
@@ -166,7 +165,7 @@ def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray])
         root = inverse_of_lower(factor) * scale
         taken = root @ information[np.ix_(rest, index)]
         S, b = S - taken.T @ taken, b - taken.T @ (root @ right[rest])
-    return sigma[:, None] * S * sigma, sigma * b, [slice(int(a), int(z)) for a, z in zip(ends[:-1], ends[1:], strict=True)]
+    return sigma[:, None] * S * sigma, sigma * b, list(consecutive(len(i) for i in groups.values()))
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,6 +177,12 @@ def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.nd
     normal[diagonal, diagonal] += 1.0
     half = inverse_of_lower(np.linalg.cholesky(normal))
     return root * (half.T @ (half @ (root * b))), half * root
+
+
+def consecutive(counts: Iterable[int]) -> tuple[slice, ...]:
+    """Slices of so many entries, one after the other."""
+    ends = np.cumsum([0, *counts]).tolist()
+    return tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
 
 def joined(slices: Sequence[slice]) -> np.ndarray:

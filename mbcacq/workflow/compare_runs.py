@@ -151,6 +151,8 @@ def compare_runs(first: Path | str, second: Path | str) -> RunComparison:
 
     Raises ConfigError where one has no result, or they are of different arms.
     """
+    if Path(first).resolve() == Path(second).resolve():
+        raise ConfigError(f"{first} is the same recording as {second}: nothing can have changed; give two recordings")
     results = [best_result(Path(path)) for path in (first, second)]
     return compare_results(results[0], results[1], (str(first), str(second)))
 

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.given_effects import PosesGiven
@@ -50,7 +51,8 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     if len(recordings) == 1:
         found = diagnose_poses(recordings[0], how)
     else:
-        poses = diagnose(recordings, progress=how.progress, workers=how.workers or cores(), options=how.options, minutes=how.minutes)
+        with likely_cause_named(recordings[0]):
+            poses = diagnose(recordings, progress=how.progress, workers=how.workers or cores(), options=how.options, minutes=how.minutes)
         found = DiagnosisResult(poses=poses)
     if motions:
         how.progress("comparing the motion")
@@ -210,15 +212,16 @@ def diagnose_poses(observations: Observations, how: Question, *, formulas: bool 
     from mbcacq.diagnosis.executor import cores
 
     refit = partial(fitted_model, observations) if fitted else None
-    found = diagnose(
-        observations,
-        progress=how.progress,
-        workers=how.workers or cores(),
-        options=how.options,
-        formulas=formulas,
-        refit=refit,
-        minutes=how.minutes,
-    )
+    with likely_cause_named(observations):
+        found = diagnose(
+            observations,
+            progress=how.progress,
+            workers=how.workers or cores(),
+            options=how.options,
+            formulas=formulas,
+            refit=refit,
+            minutes=how.minutes,
+        )
     return DiagnosisResult(poses=found, observations=observations)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mbcacq.calibration.description import likely_cause_named
 from mbcacq.design.adaptive.next_plan import NextPoses, advised, next_plan_text
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
@@ -58,7 +59,7 @@ def weigh_evidence(data: Observations | Path | str, options: CalibrationOptions 
     CalibrationError
         The data do not determine the geometry.
     """
-    return weigh(as_observations(data), options).summary
+    return _weighed(as_observations(data), options).summary
 
 
 def next_poses(
@@ -94,7 +95,7 @@ def next_poses(
     ConfigError
         Plan and recording are of different cells.
     """
-    return _chosen(weigh(as_observations(observations)), as_plan(plan), visits, poses, seed)
+    return _chosen(_weighed(as_observations(observations)), as_plan(plan), visits, poses, seed)
 
 
 def next_plan(
@@ -132,12 +133,17 @@ def next_plan(
     """
     out = Path(out)
     loaded = plan_of_recording(Path(run)) if plan is None else as_plan(plan)
-    chosen = _chosen(weigh(as_observations(run)), loaded, visits, poses)
+    chosen = _chosen(_weighed(as_observations(run)), loaded, visits, poses)
     if not chosen.visits:
         return NextPlan(chosen, "")
     text = next_plan_text(loaded, chosen.visits, out.parent, chosen.reasons)
     write_file(out, text)
     return NextPlan(chosen, text)
+
+
+def _weighed(observations: Observations, options: CalibrationOptions | None = None) -> InterimEvidence:
+    with likely_cause_named(observations):
+        return weigh(observations, options)
 
 
 def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
@@ -146,7 +152,7 @@ def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
         return found
     try:
         loaded = plan_of_recording(run)
-        chosen = _chosen(weigh(found.observations), loaded)
+        chosen = _chosen(_weighed(found.observations), loaded)
     except MbcacqError:
         return found  # a run of which the plan is not known any more, or whose cell is another one
     advice = chosen.advice or tuple(Advice(reason, ()) for reason in chosen.reasons)

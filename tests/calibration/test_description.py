@@ -7,12 +7,12 @@ import pytest
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.description import wrong_descriptions
-from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
+from mbcacq.workflow.diagnose import diagnose
 
 POSES = 24
 ROWS = np.array(  # theta deg, d, a, alpha deg: an arm with offsets at the shoulder and the elbow

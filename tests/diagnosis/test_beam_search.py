@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
@@ -14,6 +14,7 @@ from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.effects.effect import StandstillRows
 
 ROWS = 12
 SHOWN, UNDONE, LEFT = 12.0, 6.0, 20.0
@@ -31,6 +32,7 @@ class Column:
     rarity: float = 1.0
     usual: None = None
     least_size: float = 0.0
+    rows: StandstillRows = field(default_factory=lambda: StandstillRows([], np.ones(1)))
 
     @property
     def key(self) -> str:

@@ -8,6 +8,7 @@ import simulated
 from scipy.stats import chi2
 
 from mbcacq.diagnosis import diagnose, model_fit
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import over_time
 from mbcacq.estimation.forward_model import Displacements
@@ -17,7 +18,7 @@ from mbcacq.estimation.forward_model import Displacements
 @pytest.mark.parametrize("level", [0.05, 0.005])
 def test_number_of_independent_moments_gives_the_false_alarm_rate(plan, k, level):
     """White noise cut in two at every moment: the best cut passes the threshold as seldom as is said, and not much more seldom."""
-    setup = model_fit.prepare(plan)
+    setup = prepare(plan)
     hyper = over_time.moment(setup.context)
     n, rng = plan.n_poses, np.random.default_rng(5)
     first = np.arange(n)[None] >= hyper.values[:, None]
@@ -34,13 +35,13 @@ def test_a_mount_shift_is_not_reported_as_scanner_warmup(large_plan):
     """Both change slowly with time; of six components, one step explains more than three that fade."""
     observed = simulated.observe(large_plan, 131, [("mount_shift", ("mount",), [0.009, 0.006, -0.0075, 4.5e-5, -3e-5, 1.5e-5], 60.0)])
 
-    assert model_fit.fit_model(model_fit.prepare(observed)).model.names == ("mount_shift",)
+    assert model_fit.fit_model(prepare(observed)).model.names == ("mount_shift",)
 
 
 def test_a_shifted_ball_is_reported_as_a_parametric_effect(large_plan):
     observed = simulated.observe(large_plan, 132, [("ball_shift", ("ball3",), [0.006, -0.003, 0.0045], None)])
 
-    found = model_fit.fit_model(model_fit.prepare(observed))
+    found = model_fit.fit_model(prepare(observed))
 
     assert found.model.names == ("ball_shift",)
     assert found.random_effects is None
@@ -70,7 +71,7 @@ def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
         frame[:, 2, 3] = 6e-4 * np.tanh(moment / (0.5 * moment.std()))
         return Displacements(frame=frame)
 
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 168, [twist])))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 168, [twist])))
 
     assert found.model.members == ()
     assert found.cells[0].location == "link2"
@@ -79,7 +80,7 @@ def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
 def test_two_effects_are_named_although_one_block_would_fit_both(plan):
     two = [("joint_compliance", ("A2",), [2.5e-6], None), ("joint_scale", ("A5",), [3e-4], None)]
 
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 168, two)))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 168, two)))
 
     assert found.model.names == ("joint_compliance", "joint_scale")
     assert found.random_effects is None
@@ -114,7 +115,7 @@ def test_rejected_centres_that_an_effect_explains_are_readmitted(large_plan):
     """A belt of the wrist that skips a tooth near the end, by a degree: four centres far from its axis look like accidents."""
     cell = large_plan.cell
     driven = replace(large_plan, cell=replace(cell, robot=replace(cell.robot, drives=(None,) * 5 + ("belt",))))
-    setup = model_fit.prepare(simulated.observe(driven, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
+    setup = prepare(simulated.observe(driven, 135, [("joint_step", ("A6",), [2e-2], 110.0)]))
 
     found = model_fit.fit_model(setup)
     rejected = ~found.geometry_only.linear.keep
@@ -128,7 +129,7 @@ def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
     """However far: an effect is not given up for its size while nothing else fits better."""
     observed = simulated.observe(plan, 135, [("ball_shift", ("ball5",), [1.5, -1.0, 1.0], None)])
 
-    found = model_fit.fit_model(model_fit.prepare(observed))
+    found = model_fit.fit_model(prepare(observed))
 
     assert [m.candidate.location for m in found.model.members] == [("ball_shift", ("ball5",))]
     assert verdict_of(found) == "explained"

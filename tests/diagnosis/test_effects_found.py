@@ -5,6 +5,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.verdict import verdict_of
 
 CASES = [
@@ -39,7 +40,7 @@ def test_a_step_of_a_joint_by_a_hundredth_of_a_degree_is_found_named_and_measure
 def assert_found(plan, name, where, values, hyper):
     observed = simulated.observe(plan, 11, [(name, where, values, hyper)])
 
-    found = model_fit.fit_model(model_fit.prepare(observed))
+    found = model_fit.fit_model(prepare(observed))
 
     assert {m.candidate.location for m in found.model.members} == {(name, where)}
     assert verdict_of(found) == "explained"
@@ -50,7 +51,7 @@ def assert_found(plan, name, where, values, hyper):
 def test_two_effects_at_once(plan):
     observed = simulated.observe(plan, 12, [("joint_compliance", ("A2",), [2.5e-6], None), ("backlash", ("A1",), [5e-5], None)])
 
-    found = model_fit.fit_model(model_fit.prepare(observed))
+    found = model_fit.fit_model(prepare(observed))
 
     assert {m.candidate.location for m in found.model.members} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
 
@@ -58,7 +59,7 @@ def test_two_effects_at_once(plan):
 def test_found_among_one_percent_of_gross_outliers(plan):
     observed = simulated.observe(plan, 13, [("joint_compliance", ("A2",), [2.5e-6], None)], outliers=0.01)
 
-    found = model_fit.fit_model(model_fit.prepare(observed))
+    found = model_fit.fit_model(prepare(observed))
 
     assert [m.candidate.location for m in found.model.members] == [("joint_compliance", ("A2",))]
     assert abs(found.model.coefficients[0] - 2.5e-6) < 4 * np.sqrt(found.model.covariance[0, 0])

@@ -10,10 +10,10 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.verdict import verdict_of
@@ -66,9 +66,9 @@ def recording(short):
 
 @pytest.fixture(scope="module")
 def proposals(recording):
-    problem = model_fit.prepare(recording)
+    problem = prepare(recording)
     full = model_fit.fit_model(problem)
-    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells]).proposals
+    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells])[0]
 
 
 def test_the_concealed_formula_is_the_most_probable(proposals):
@@ -82,13 +82,13 @@ def test_the_concealed_formula_is_the_most_probable(proposals):
 
 
 def test_a_product_of_two_angles_is_found(short):
-    problem = model_fit.prepare(simulated.observe(short, 33, [hose_between_two_angles]))
+    problem = prepare(simulated.observe(short, 33, [hose_between_two_angles]))
 
     search = FormulaSearch(plain_noise(problem), (), terms_at(problem, [found_at("link4", "q4")]))
     best = search.run(most_terms=1)[0]
 
     assert [p.label for p in best.placed] == ["A5(0,):q2*q4['sin(q2) sin(q4)']"]
-    assert abs(coefficients(best.hypothesis).coefficients[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
+    assert abs(best.hypothesis.solved.coefficients[0] - PULL) < 4 * np.sqrt(best.hypothesis.solved.covariance[0, 0])
 
 
 def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):
@@ -100,7 +100,7 @@ def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):
         joint[:, 2] = 6e-4 * (torque / np.abs(torque).max()) ** 3
         return Displacements(joint=joint)
 
-    problem = model_fit.prepare(simulated.observe(plan, 33, [progressive_gear]))
+    problem = prepare(simulated.observe(plan, 33, [progressive_gear]))
     found = FormulaSearch(plain_noise(problem), (), terms_at(problem, [found_at("A3", "gravity_torque_3")])).run()
     assert [p.term.shape for p in found[0].placed] == ["gravity_torque_3^3"]
     count = Counter(len(f.placed) for f in found)
@@ -111,7 +111,7 @@ def test_the_draft_is_found_by_its_name_and_explains_the_recording(proposals, re
     _, module = write_draft(proposals[:1], tmp_path / "draft")
 
     with catalogue.with_added([module]):
-        found = model_fit.fit_model(model_fit.prepare(recording))
+        found = model_fit.fit_model(prepare(recording))
 
     assert [m.candidate.location for m in found.model.members] == [("a1_by_q3", ("A1",))]
     assert verdict_of(found) == "explained"
@@ -137,7 +137,7 @@ def test_the_package_of_a_draft_names_its_entry_point(proposals, tmp_path, monke
 
 
 def test_noise_gives_no_formula(short):
-    problem = model_fit.prepare(simulated.observe(short, 32))
+    problem = prepare(simulated.observe(short, 32))
     terms = terms_at(problem, [found_at("A2", "q2"), found_at("mount", "q6"), found_at("scanner", "x")])
 
     best = FormulaSearch(plain_noise(problem), (), terms).run(most_terms=1)[0]

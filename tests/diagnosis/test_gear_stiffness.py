@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import compared
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import model_of
+from mbcacq.diagnosis.model_fit import model_of
 from mbcacq.diagnosis.output.effects_table import merged_parameters, parameters_of_branches
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
 
@@ -51,7 +51,7 @@ def test_as_many_branches_are_found_as_the_gearbox_has(large_plan, branches):
 
 def diagnosed(observed):
     """What the compliances of a gearbox explain of a recording."""
-    problem = model_fit.prepare(observed)
+    problem = prepare(observed)
     gears = [c for c in problem.candidates if c.name in ("joint_compliance", "lost_motion", "backlash", "hysteresis")]
     problem = replace(problem, candidates=gears)
     fit = compared(problem, problem.linear.restricted(np.ones(len(observed.xyz), dtype=bool)), pack(problem.noise), staged=True)

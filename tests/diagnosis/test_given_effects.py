@@ -14,7 +14,8 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.given_effects import StatedParameters, as_displaced, coefficient_of, evidence_given, given_effects
+from mbcacq.diagnosis.findings import ComparedEffect
+from mbcacq.diagnosis.given_effects import as_displaced, coefficient_of, evidence_given, given_effects
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.effect import Candidate, ParameterEstimate, StandstillRows, number, plain_report
@@ -35,9 +36,9 @@ HEAVY = [
 ]
 
 
-def of_motion(value: float = SOFT, std: float = KNOWN) -> list[StatedParameters]:
+def of_motion(value: float = SOFT, std: float = KNOWN) -> list[ComparedEffect]:
     """The compliance of both joints as a motion would state it."""
-    return [StatedParameters("joint_compliance", (at,), {f"{at}.compliance_rad_per_Nm": number(value, std)}) for at in ("A2", "A3")]
+    return [ComparedEffect("joint_compliance", (at,), {f"{at}.compliance_rad_per_Nm": number(value, std)}) for at in ("A2", "A3")]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def test_a_cell_calibrated_with_it_has_the_given_effects_as_they_were_given(reco
 
 
 def test_effects_of_which_nothing_is_a_candidate_change_nothing(recorded):
-    assert evidence_given(recorded, [StatedParameters("friction", ("A2",), {"A2.coulomb_Nm": number(30.0, 1.0)})]) is None
+    assert evidence_given(recorded, [ComparedEffect("friction", ("A2",), {"A2.coulomb_Nm": number(30.0, 1.0)})]) is None
 
 
 def log_density(linear: LinearProblem, noise: Noise, mean: np.ndarray, columns: np.ndarray, sigma: np.ndarray) -> float:
@@ -105,7 +106,7 @@ def test_the_evidence_with_a_given_effect_is_that_of_its_prior_in_all_rows(recor
         problem = prepare(few, options_for(few, CalibrationOptions()))
         plain, noise = problem.linear, replace(problem.noise, joint=np.full(6, 5e-6))
         given = given_effects(problem, of_motion(4e-6, 2e-7))
-        terms = [as_displaced(g) for g in given]
+        terms = as_displaced(plain, given)
         together = LinearProblem.of(few, plain.state, plain.keep, layout=plain.layout, given=terms)
         ours = [
             NoisePoint(one, problem.prior_noise, pack(noise)).with_effects(one.extended(np.zeros((*one.residual.shape, 0)), np.zeros(0)))

@@ -7,6 +7,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import unmodelled
 
@@ -63,7 +64,7 @@ def test_several_orders_of_a_joint_are_one_location(reported):
 
 def test_noise_alone_is_no_random_effect(plan):
     """In a long recording random effects may stand at all locations, but only where their evidence outweighs their prior."""
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 152)))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 152)))
 
     assert verdict_of(found) == "none"
     assert found.empty

@@ -14,6 +14,7 @@ from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.output.notes import not_carried_over, rejected_poses, single_place
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import all_but, split
@@ -28,14 +29,14 @@ from mbcacq.estimation.variance_components import pack
 
 @pytest.mark.parametrize("seed", range(4))
 def test_clean_cells_are_clean(plan, seed):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 100 + seed)))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 100 + seed)))
 
     assert verdict_of(found) == "none"
     assert found.model.members == ()
 
 
 def test_clean_cells_with_outliers_are_clean(plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 105, outliers=0.01)))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 105, outliers=0.01)))
 
     assert verdict_of(found) == "none"
 
@@ -53,7 +54,7 @@ def test_held_out_figures_count_the_centres_that_a_fit_rejects(plan):
 def test_noise_is_estimated_whatever_the_cell_file_says(plan):
     reported = replace(plan, cell=replace(plan.cell, noise_mm=None))
 
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(reported, 106)))
+    found = model_fit.fit_model(prepare(simulated.observe(reported, 106)))
 
     np.testing.assert_allclose(found.noise.point, simulated.POINT_NOISE, rtol=0.15)
     np.testing.assert_allclose(np.exp(np.mean(np.log(found.noise.joint))), simulated.JOINT_NOISE, rtol=0.25)
@@ -74,7 +75,7 @@ def test_the_noise_of_twelve_poses_of_a_bar_is_estimated_though_stated_five_time
 def test_effects_without_their_columns_are_reported_as_dropped(plan):
     bare = replace(simulated.observe(plan, 107), time_s=None, direction=None, temperatures={})
 
-    dropped = model_fit.prepare(bare).dropped
+    dropped = prepare(bare).dropped
 
     assert {"scanner_warmup", "thermal_growth", "exposure_latency"} <= set(dropped)
     assert "temperatures" in dropped["thermal_growth"]
@@ -82,7 +83,7 @@ def test_effects_without_their_columns_are_reported_as_dropped(plan):
 
 @pytest.mark.parametrize(("places", "left_out"), [(1, "block"), (2, "station"), (3, "station")])
 def test_a_place_is_left_out_where_there_are_two(plan, places, left_out):
-    linear = model_fit.prepare(plan.select(plan.station < places)).linear
+    linear = prepare(plan.select(plan.station < places)).linear
 
     fold, what = split(linear, 4)
 
@@ -94,7 +95,7 @@ def test_a_place_is_left_out_where_there_are_two(plan, places, left_out):
 
 @pytest.mark.parametrize(("places", "left_out"), [(1, "block"), (2, "station")])
 def test_no_recording_of_several_is_left_out_whole(plan, places, left_out):
-    linear = model_fit.prepare([simulated.observe(plan.select(plan.station < places), seed) for seed in (1, 2)]).linear
+    linear = prepare([simulated.observe(plan.select(plan.station < places), seed) for seed in (1, 2)]).linear
 
     fold, what = split(linear, 4)
 
@@ -105,7 +106,7 @@ def test_no_recording_of_several_is_left_out_whole(plan, places, left_out):
 
 @pytest.mark.parametrize(("places", "said"), [(1, True), (2, False)])
 def test_with_one_place_a_note_says_that_no_other_was_tested(plan, places, said):
-    problem = model_fit.prepare(plan.select(plan.station < places))
+    problem = prepare(plan.select(plan.station < places))
 
     assert any("not shown that the model holds at other places" in note for note in single_place(problem)) == said
 
@@ -118,7 +119,7 @@ def bending_of_link_two(context):
 
 
 def test_an_unmodelled_effect_is_not_explained_by_a_parametric_one(plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 108, [bending_of_link_two])))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 108, [bending_of_link_two])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
     assert found.random_effects is not None
@@ -131,7 +132,7 @@ def cubic_lens(context):
 
 
 def test_an_unmodelled_scanner_error_is_located_in_the_scanner(large_plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(large_plan, 109, [cubic_lens])))
+    found = model_fit.fit_model(prepare(simulated.observe(large_plan, 109, [cubic_lens])))
 
     assert verdict_of(found) in ("unexplained", "cannot_tell")  # what stands beside it is open, not where it is
     assert (found.cells[0].location, found.cells[0].depends_on) == ("scanner", "x")
@@ -180,7 +181,7 @@ def test_what_happened_at_one_station_is_not_judged_by_leaving_that_station_out(
 
 
 def test_what_does_not_predict_held_out_poses_explains_nothing(plan):
-    problem = model_fit.prepare(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
+    problem = prepare(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
     fit = model_fit.fit_model(problem)
     assert verdict_of(fit) == "explained"
     alike = PredictiveScore(square=0.1, count=100, chi2=400.0, dof=300.0)
@@ -204,7 +205,7 @@ def test_without_something_unmodelled_the_names_that_a_part_gave_to_it_are_left_
 
 
 def test_no_centre_stands_out_of_noise_that_is_as_large_as_a_gross_error(plan):
-    problem = model_fit.prepare(simulated.observe(plan, 105, outliers=0.02))
+    problem = prepare(simulated.observe(plan, 105, outliers=0.02))
     coarse = Noise(np.full(3, 4.0), np.full(6, 1e-5), 1e-3)
 
     def kept(noise):

@@ -7,8 +7,9 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.model_fit import fit_model, prepare
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.noise_dependence import ALL, INSTRUMENT, SquaresOfPoses, noise_variations
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.forward_model import Displacements
 
 

@@ -5,8 +5,9 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.model_fit import fit_model, prepare
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.output.repetition import sentences
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.forward_model import Displacements
 
 AMPLITUDE, ORDER = 1.2e-3, 4.0

@@ -9,10 +9,11 @@ import simulated
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets, WeightedSet
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
@@ -38,7 +39,7 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
     mass, com, softness = 6.0, [0.0, 0.0, 100.0], 6e-6
     hidden = {"name": "payload", "mass_kg": mass, "com_mm": com, "compliance_rad_per_Nm": softness}
 
-    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 102, hidden)))
+    found = model_fit.fit_model(prepare(observed(seeing, 102, hidden)))
 
     assert verdict_of(found) == "explained"
     assert {m.candidate.location for m in found.model.members} == {
@@ -61,7 +62,7 @@ def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
 
     loaded, poses = seeing
     two_thirds = [pose for k, pose in enumerate(poses) if k % 3 != 2]
-    found = model_fit.fit_model(model_fit.prepare(observed((loaded, two_thirds), 104, hidden)))
+    found = model_fit.fit_model(prepare(observed((loaded, two_thirds), 104, hidden)))
 
     assert set(found.model.names) == {"payload", "joint_compliance"}
     last = found.model.members[-1]
@@ -74,7 +75,7 @@ def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
 def test_elastic_joints_are_not_reported_as_a_wrong_payload(seeing):
     hidden = {"name": "joint_compliance", "compliance_rad_per_Nm": 4e-6, "where": ["A2", "A3"]}
 
-    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 103, hidden)))
+    found = model_fit.fit_model(prepare(observed(seeing, 103, hidden)))
 
     assert {m.candidate.name for m in found.model.members} == {"joint_compliance"}
 
@@ -132,7 +133,7 @@ def test_a_payload_that_is_not_excluded_and_changes_a_compliance_leaves_it_open(
 
     def changing(beside):
         sets = [WeightedSet(1.0, {"joint_compliance:A3": {key: ParameterEstimate(value, 5e-8)}}) for value in (beside, 4.6e-6)]
-        return [c.changed for c in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
+        return [changed for _, changed in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
 
     assert reported_hypothesis(fit) is likely[1]
     assert changing(4.0e-6) == [frozenset({"joint_compliance:A3"})]

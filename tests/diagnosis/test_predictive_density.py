@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -48,7 +48,7 @@ def test_of_a_misfit_that_noise_alone_explains_no_effect_removes_a_share_beyond_
 
 def test_an_effect_that_is_there_predicts_stations_left_out(large_plan):
     observed = simulated.observe(large_plan, 141, [("joint_compliance", ("A2",), [2e-6], None)])
-    setup = model_fit.prepare(observed)
+    setup = prepare(observed)
     station = observed.station[observed.pose]
     elastic = next(c for c in setup.candidates if c.key.startswith("joint_compliance:A2"))
     train, test = station < station.max(), station == station.max()
@@ -62,7 +62,7 @@ def test_an_effect_that_is_there_predicts_stations_left_out(large_plan):
 
 
 def test_scores_by_shared_products_are_those_of_each_model_by_itself(plan):
-    setup = model_fit.prepare(simulated.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)]))
+    setup = prepare(simulated.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)]))
     linear, station = setup.linear, setup.linear.obs.station
     elastic, other = (
         EffectSet((Member(next(c for c in setup.candidates if c.label == f"joint_compliance:{at}"), None),)) for at in ("A2", "A3")
@@ -82,7 +82,7 @@ def test_scores_by_shared_products_are_those_of_each_model_by_itself(plan):
 def test_poorly_determined_coefficients_stay_near_zero(large_plan):
     """A slip along the view is seen, its turn about the middle of the view is not: the prediction uses what is known of it."""
     observed = simulated.observe(large_plan, 142, [("mount_shift", ("mount",), [0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 60.0)])
-    setup = model_fit.prepare(observed)
+    setup = prepare(observed)
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
     model = EffectSet((Member(candidate, 60.0),))
     joint = JointModel(setup.linear, model, (), setup.linear.whitener(setup.noise))

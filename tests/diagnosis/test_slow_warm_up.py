@@ -5,12 +5,13 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.problem import prepare
 
 
 def measured(plan, seed, offset_mm, time_constant_s):
     """Distances of the reported offset (3,) and time constant from the true ones in their standard deviations, and that of the latter."""
     observed = simulated.observe(plan, seed, [("scanner_warmup", ("scanner",), offset_mm, time_constant_s)])
-    model = model_fit.fit_model(model_fit.prepare(observed)).model
+    model = model_fit.fit_model(prepare(observed)).model
     (found,) = model.members
     assert found.candidate.name == "scanner_warmup"
     offset, constant = found.candidate.parameters(model.coefficients, model.covariance, found.hyper).values()

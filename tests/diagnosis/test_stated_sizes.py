@@ -8,6 +8,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -18,7 +19,7 @@ SOFT = 5e-6
 @pytest.fixture(scope="module")
 def found(plan):
     observed = simulated.observe(plan, 12, [("joint_compliance", ("A2",), [SOFT], None)])
-    problem = model_fit.prepare(observed)
+    problem = prepare(observed)
     fit = model_fit.fit_model(replace(problem, candidates=[c for c in problem.candidates if c.name == "joint_compliance"]))
     assert [m.candidate.where for m in fit.model.members] == [("A2",)]
     return fit

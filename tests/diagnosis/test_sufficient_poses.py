@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, says_too_little, sufficient_poses
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.diagnosis.search.effect_set import Member
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +22,16 @@ def few():
 
 @pytest.fixture(scope="module")
 def some_effect(few):
-    return next(c for c in problem.prepare(few).candidates if c.name == "joint_compliance")
+    return next(c for c in prepare(few).candidates if c.name == "joint_compliance")
 
 
 def limited(candidate, **limits):
     """Effects of these kinds, each at locations with these limits in typical sizes."""
-    return [SizedEffect(replace(candidate, name=kind), None, size * candidate.typical) for kind, sizes in limits.items() for size in sizes]
+    return [
+        Member(replace(candidate, name=kind), None, coefficients=size * candidate.typical)
+        for kind, sizes in limits.items()
+        for size in sizes
+    ]
 
 
 def test_kinds_count_alike_whatever_their_number_of_locations(some_effect):

@@ -6,6 +6,7 @@ import numpy as np
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import FAR
@@ -41,7 +42,7 @@ def short_memory_of_joint_four(s):
 
 
 def test_lost_motion_that_fades_with_travel_is_not_explained_by_backlash(plan):
-    found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 110, [short_memory_of_joint_four])))
+    found = model_fit.fit_model(prepare(simulated.observe(plan, 110, [short_memory_of_joint_four])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
     assert (found.cells[0].location, found.cells[0].depends_on) == ("A4", "direction_4")
@@ -51,7 +52,7 @@ def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(l
     observed = simulated.observe(large_plan, 111)
     true = 0.03 * np.sin(2 * np.pi * observed.xyz[:, 1] / 14.0 + 0.4)
 
-    found = model_fit.fit_model(model_fit.prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
+    found = model_fit.fit_model(prepare(replace(observed, xyz=observed.xyz + true[:, None] * [0, 0, 1])))
 
     first = found.cells[0]
     assert verdict_of(found) == "unexplained"

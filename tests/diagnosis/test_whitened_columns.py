@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.unmodelled import everywhere, group
@@ -19,7 +19,7 @@ from mbcacq.estimation.whitened_columns import WhitenedColumns, is_wide
 @pytest.fixture(scope="module")
 def linear():
     observed = simulated.observe(simulated.plan(stations=6, bars=4, each=12), 171, [("joint_compliance", ("A2",), [2e-6], None)])
-    whole = model_fit.prepare(observed).linear
+    whole = prepare(observed).linear
     return whole.restricted(np.random.default_rng(5).uniform(size=len(whole.keep)) > 0.1)
 
 
@@ -38,7 +38,7 @@ def groups(linear):
 
 
 def test_products_of_some_poses_are_those_of_the_columns_written_out(linear, groups):
-    whiten = linear.whitener(model_fit.prepare(linear.obs).noise)
+    whiten = linear.whitener(prepare(linear.obs).noise)
     columns = WhitenedColumns(linear, whiten, linear.nuisance()[0], groups)
     poses = np.random.default_rng(7).uniform(size=linear.obs.n_poses) > 0.4
     change = np.random.default_rng(8).normal(size=(*linear.residual.shape, 2))

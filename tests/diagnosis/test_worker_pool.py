@@ -13,6 +13,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.executor import WorkerPool
+from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.errors import CalibrationError
 
@@ -132,7 +133,7 @@ def refuse(k):
 @pytest.fixture(scope="module")
 def fitted(plan):
     """A recording with an elastic joint, and its fit."""
-    setup = model_fit.prepare(simulated.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
+    setup = prepare(simulated.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
     return setup, model_fit.fit_model(setup)
 
 

@@ -172,6 +172,18 @@ def wound_up(payload: float, com: list[float] | np.ndarray) -> Physics:
     return lambda world: Errors(joint=softness * torque(world, payload, np.array(com)))
 
 
+def sagging(world: World) -> Errors:
+    """A joint hangs in the slack of its brakes where the arm stood for two minutes before."""
+    stood = np.diff(np.sort(world.time), prepend=-np.inf)[world.order] > 120.0
+    return Errors(joint=at_joint(1, np.radians(4e-4) * stood))
+
+
+def loose(world: World) -> Errors:
+    """A scanner that slides by 2e-4 mm along the flange's x and tips by 1e-6 rad about its y as gravity along x changes its sign."""
+    seats = [pose(rotation(side * np.array([0, 5e-7, 0])), side * np.array([1e-4, 0, 0])) for side in (-1.0, 1.0)]
+    return Errors(mount=np.array([seats[int(plain.tool_weight(q)[0] > 0)] for q in world.q]))
+
+
 def exposure_latency(world: World) -> Errors:
     """The arm is exposed after its angles were reported."""
     return Errors(joint=5e-7 * world.velocity)
@@ -221,6 +233,18 @@ CASES = (
     ),
     Case("incidence_bias", ("scanner",), leaning(1e-5, 0.0), {"depth_mm": 1e-5}, variant="depth"),
     Case("incidence_bias", ("scanner",), leaning(1e-5, -6e-6), {"depth_mm": 1e-5, "side_mm": -6e-6}, variant=""),
+    Case(
+        "joint_settling", ("A2",), sagging, {"A2.sag_deg": 4e-4, "A2.least_pause_s": 60.0}, hyper=60.0, depends_on="pause", variant="pause"
+    ),
+    Case(
+        "mount_clearance",
+        ("mount",),
+        loose,
+        {"shift_mm": [2e-4, 0.0, 0.0], "turn_deg": [0.0, np.degrees(1e-6), 0.0]},
+        hyper=0.0,
+        depends_on="gravity_along_6_0_0",
+        variant="gravity_along_6_0_0",
+    ),
     Case("joint_scale", ("A2",), joint_scale, {"A2.ratio": 3e-7}, depends_on="q2"),
     Case("wrist_coupling", ("A4", "A5"), wrist_coupling, {"ratio": -4e-7}, depends_on="q4"),
     Case("joint_step", ("A6",), joint_step, {"A6.at_pose": np.nan, "A6.step_deg": 2e-4}, hyper=float(MOMENT), depends_on="pose"),

@@ -124,7 +124,7 @@ class World:
         stations = np.array([frames(one)[-1] @ T_FLANGE_SCANNER for one in q[:2]])
         return cls(
             q,
-            17.0 * order,
+            17.0 * order + 150.0 * (order // 9),
             order,
             (order >= count // 2).astype(int),
             stations,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis.motion.assemble import HeldOutTable
-from mbcacq.diagnosis.motion.determination import at_bound
+from mbcacq.diagnosis.motion.fit import at_bound
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S

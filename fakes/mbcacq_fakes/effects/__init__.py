@@ -35,6 +35,8 @@ CATALOGUED = (
     "incidence_bias",
     "payload",
     "exposure_latency",
+    "joint_settling",
+    "mount_clearance",
 )
 UNCATALOGUED = (
     "axis_wobble",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.description import likely_cause_named
 from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.design.adaptive.next_plan import MOST_NAMED, NextPoses, choose_next, pair_in_words, set_in_words, steps_of
 from mbcacq.design.adaptive.options import OPTIONS
@@ -135,7 +136,9 @@ def decisions(
     number, views = len(before), list[PlannedPose]()
     while True:
         views = views or repeatable(reachable_views)(loaded, seed)
-        decision = _decided(number, grown, weigh(_used(obs)), budget, views)
+        with likely_cause_named(obs):
+            found = weigh(_used(obs))
+        decision = _decided(number, grown, found, budget, views)
         yield decision
         if decision.end:
             return

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
-from mbcacq.diagnosis.evidence.coefficients import coefficients, prior_sigma
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import nested
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
+from mbcacq.diagnosis.search.effect_set import prior_sigma
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
@@ -197,7 +197,7 @@ def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarra
     """(M, R) displaced by a set with its coefficients, and (M, R, k) its columns in prior sigmas."""
     nothing = np.zeros((*linear.residual.shape, 0))
     columns = np.concatenate([nothing, *(candidate_columns(linear, m.candidate, m.hyper) for m in h.members)], axis=2)
-    return columns @ coefficients(h).coefficients, columns * prior_sigma(h.members)
+    return columns @ h.solved.coefficients, columns * prior_sigma(h.members)
 
 
 def _largest_combinations(X: np.ndarray) -> np.ndarray:

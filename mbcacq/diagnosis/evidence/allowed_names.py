@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.search.effect_set import Member
@@ -37,7 +36,7 @@ def refused_names(reported: Hypothesis, robot: RobotModel) -> dict[str, str]:
     """Key of a candidate whose name is refused -> the sentence that says so."""
     if not reported.catalogued:
         return {}
-    found, out = coefficients(reported), dict[str, str]()
+    found, out = reported.solved, dict[str, str]()
     for m, own in zip(found.members, found.slices(), strict=True):
         c, v = found.coefficients[own], found.covariance[own, own]
         why = "" if m.candidate.name == UNKNOWN else refusal(m.candidate, robot, c, v)

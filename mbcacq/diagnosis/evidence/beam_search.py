@@ -7,7 +7,7 @@ The search is one for poses and for motion. What a recording is made of, and whi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -213,9 +213,10 @@ class EvidenceSearch:
 
 
 @dataclass(frozen=True)
-class RankedSets:
+class EvidenceFit:
     """All sets that were compared, the most probable first, the empty one (``none``) among them. log_e_value: of all effects together
-    against none; above ``least`` there is an effect. prior: of the sets. cut_short: time ran out before all was compared.
+    against none; above ``least`` there is an effect. prior: of the sets. cut_short: time ran out before all was compared. linear: the
+    rows at the linearisation of the best one, without discrepancy.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -224,6 +225,7 @@ class RankedSets:
     least: float
     prior: SetPrior
     cut_short: bool = False
+    linear: Any = None
 
     def log_prior_of(self, member: Member, hypothesis: Hypothesis) -> float:
         """Log prior probability of an effect next to the others of a set."""
@@ -242,6 +244,21 @@ class RankedSets:
     def best(self) -> Hypothesis:
         """The most probable set where there is an effect at all, else the empty one."""
         return next(h for h in self.hypotheses if h.members) if self.significant else self.none
+
+
+def linearised_anew(first: EvidenceFit, again: Callable[[EvidenceFit, EvidenceFit | None], EvidenceFit | None], most: int) -> EvidenceFit:
+    """The sets of a recording that is linearised anew with the best set in place, as long as that changes it.
+
+    again: gets a fit and the one before it, if there is one, and returns the fit at the linearisation of the first; None where it stays.
+    most: how often.
+    """
+    before, fit = None, first
+    for _ in range(most):
+        new = again(fit, before)
+        if new is None:
+            break
+        before, fit = fit, new
+    return fit
 
 
 def without_each(members: Sequence[Member]) -> list[tuple[Member, ...]]:

@@ -7,21 +7,23 @@ theirs and the variance between them. Where a further effect moves it beyond its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART
-from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, not_separable, reported_hypothesis, undecided
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import over_sizes
 from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters, label_of
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.quantities import K
 
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
@@ -40,16 +42,6 @@ class WeightedSet:
 
 
 @dataclass(frozen=True)
-class ChangingSet:
-    """A set that has further effects, beside which the effects ``changed`` (``name:where``) of the reported one differ beyond their
-    uncertainty.
-    """
-
-    hypothesis: Hypothesis
-    changed: frozenset[str]
-
-
-@dataclass(frozen=True)
 class BetweenSets:
     """The sets that the evidence does not exclude, the reported one among them, with what each states.
 
@@ -62,13 +54,13 @@ class BetweenSets:
     at_best: ByEffect
 
     @classmethod
-    def of(cls, fit: RankedSets, solved: Callable[[Hypothesis], EffectSet]) -> BetweenSets:
-        """solved: the coefficients of a set at its most probable sizes."""
+    def of(cls, fit: EvidenceFit) -> BetweenSets:
+        """What the sets of a fit that are not excluded state."""
         reported = reported_hypothesis(fit) if fit.significant else fit.none
         best = max(fit.hypotheses[0].log_posterior, reported.log_posterior)
         likely = [h for h in fit.hypotheses if h is reported or h.log_posterior > best + np.log(OPTIONS.undecided)]
         sets = tuple(WeightedSet(float(np.exp(h.log_posterior - best)), by_effect(coefficients_over_sizes(h))) for h in likely)
-        return cls(tuple(likely), sets, next(i for i, h in enumerate(likely) if h is reported), by_effect(solved(reported)))
+        return cls(tuple(likely), sets, next(i for i, h in enumerate(likely) if h is reported), by_effect(reported.solved))
 
     def averaged(self, labels: Iterable[str], parameters: Parameters) -> Parameters:
         """The parameters of some effects (``name:where``) of the reported set, averaged over all sets that have them.
@@ -80,18 +72,69 @@ class BetweenSets:
             out |= averaged(label, out, self.at_best, self.sets)
         return out
 
-    def changing(self) -> list[ChangingSet]:
-        """Sets with further effects that change reported ones; of sets that contain each other, the smallest."""
+    def changing(self) -> list[tuple[Hypothesis, frozenset[str]]]:
+        """Sets with further effects, beside which reported ones (``name:where``) differ beyond their uncertainty; of sets that contain each
+        other, the smallest.
+        """
         reported, own = self.hypotheses[self.reported], self.sets[self.reported].stated
-        found: list[ChangingSet] = []
+        found: list[tuple[Hypothesis, frozenset[str]]] = []
         for h, one in sorted(zip(self.hypotheses, self.sets, strict=True), key=lambda pair: len(pair[0].labels)):
             further = h.labels > reported.labels or (is_coupled(h) and not is_coupled(reported) and is_part(reported, h))
-            if not further or any(other.hypothesis.labels <= h.labels for other in found):
+            if not further or any(other.labels <= h.labels for other, _ in found):
                 continue
             changed = frozenset(label for label in own if label in one.stated and is_changed(own[label], one.stated[label]))
             if changed:
-                found.append(ChangingSet(h, changed))
-        return sorted(found, key=lambda c: -c.hypothesis.log_posterior)
+                found.append((h, changed))
+        return sorted(found, key=lambda one: -one[0].log_posterior)
+
+
+def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Hypothesis, frozenset[str]]]:
+    """Sets that the evidence does not exclude in favour of the reported one: others, and those with a further effect beside which reported
+    ones (``name:where``) are others.
+
+    One that has an unmodelled effect in place of a catalogued one at the same location, with the same displacement, is no other set: it
+    describes the same effect in a more general form.
+    """
+    others = [(other, frozenset[str]()) for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+    return [*others, *(BetweenSets.of(fit).changing() if fit.significant else [])]
+
+
+def pairs_not_separable(fit: EvidenceFit) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
+    """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect."""
+    if not fit.significant:
+        return []
+    reported, out = reported_hypothesis(fit), []
+    for other, changed in alternatives_to(fit, reported):
+        ours, theirs = differing(reported, other, changed)
+        out.append((not_separable(reported, other, likeness(reported, ours, theirs), changed), ours, theirs))
+    return out
+
+
+def differing(one: Hypothesis, other: Hypothesis, changed: frozenset[str] = frozenset()) -> tuple[EffectSet, EffectSet]:
+    """The effects that only one of two sets has, or both in other sizes (``changed``), of each set."""
+    ours, theirs = (one.labels - other.labels) | changed, (other.labels - one.labels) | changed
+    return one.solved.part(lambda m: m.label in ours), other.solved.part(lambda m: m.label in theirs)
+
+
+def likeness(reported: Hypothesis, ours: EffectSet, theirs: EffectSet) -> float:
+    """Absolute correlation of what two sets of effects explain beyond everything else, under the noise of the reported set; 0 where one
+    of them explains nothing.
+    """
+    members = (*ours.members, *theirs.members)
+    A = reported.point.with_effects(reported.point.extended(members)).A
+    typical = np.concatenate([np.zeros(0), *(m.candidate.typical for m in members)])
+    moved, k = np.concatenate([ours.coefficients, theirs.coefficients]) / typical, len(ours.coefficients)
+    across = moved[:k] @ A[:k, k:] @ moved[k:]
+    size = float(np.sqrt(max((moved[:k] @ A[:k, :k] @ moved[:k]) * (moved[k:] @ A[k:, k:] @ moved[k:]), 0.0)))
+    return float(min(abs(across) / size, 1.0)) if size > 0 else 0.0
+
+
+def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
+    ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+    places = [{label.partition(":")[2] for label in labels} for labels in (ours, theirs)]
+    if places[0] != places[1] or any(label.partition(":")[0] != UNKNOWN for label in theirs):
+        return False
+    return bool(np.isclose(likeness(reported, *differing(reported, other)), 1.0))
 
 
 def coefficients_over_sizes(hypothesis: Hypothesis) -> EffectSet:

@@ -2,44 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import possible_sizes
+from mbcacq.diagnosis.search.effect_set import Member, possible_sizes
 from mbcacq.effects.effect import Candidate
 
-
-@dataclass(frozen=True)
-class ScoredEffect:
-    """A candidate at its most probable hyper-parameter.
-
-    log_evidence: log Bayes factor averaged over sizes and hyper-parameter. log_mass: by how much that is less than the one at ``hyper``.
-    """
-
-    candidate: Candidate
-    hyper: float | None
-    log_evidence: float
-    log_mass: float
+# A candidate at its most probable hyper-parameter, with its log Bayes factor averaged over sizes and hyper-parameter.
+Scored = tuple[float, Member]
 
 
-def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
+def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
     """All candidates beyond geometry and what the problem is conditioned on."""
     out = fixed_candidates(projected, candidates)
     return out + [scanned_candidate(projected, c) for c in candidates if c.components]
 
 
-def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> Scored:
     """One candidate beyond geometry and what the problem is conditioned on."""
     if candidate.components:
         return scanned_candidate(projected, candidate)
     return evidence_of_one(projected, candidate) if candidate.hyper is None else fixed_candidates(projected, [candidate])[0]
 
 
-def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
+def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
     """Those whose hyper-parameter has few values, all in one product."""
     batch = projected.batch(candidates)
     logs = np.zeros(len(batch.fixed.entries))
@@ -60,26 +48,26 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
     for each in values.values():
         candidate, hyper, _ = each[0]
         if hyper is None:
-            out.append(ScoredEffect(candidate, None, each[0][2], 0.0))
+            out.append((each[0][2], Member(candidate, None)))
         else:
             log = np.array([one[2] for one in each])
             out.append(averaged(candidate, np.array([one[1] for one in each], dtype=float), log))
     return out
 
 
-def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> Scored:
     """A candidate without hyper-parameter."""
     X, S, b = projected.candidate_products(candidate, None)
     absorbed, t = projected.conditioned.T @ X, candidate.typical
     A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
-    return ScoredEffect(candidate, None, float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), 0.0)
+    return float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), Member(candidate, None)
 
 
-def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> ScoredEffect:
+def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> Scored:
     """Over the values (H,) of a hyper-parameter, with log Bayes factors (H,)."""
     weighted = logs + log_weights(candidate, values)
     total, best = float(np.logaddexp.reduce(weighted)), int(weighted.argmax())
-    return ScoredEffect(candidate, float(values[best]), total, total - float(logs[best]))
+    return total, Member(candidate, float(values[best]), total - float(logs[best]))
 
 
 def log_weights(candidate: Candidate, values: np.ndarray) -> np.ndarray:
@@ -104,7 +92,7 @@ def sizes_of(candidate: Candidate) -> np.ndarray:
     return np.array(possible_sizes(candidate.least_size))
 
 
-def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scored:
     """A candidate whose hyper-parameter is scanned over its grid, and between the values of the grid about the best one."""
     hyper = candidate.hyper
     assert hyper is not None, "a candidate with components has a hyper-parameter"
@@ -117,10 +105,10 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
     low, high = float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)])
     mass, best = refined(projected, candidate, low, high)
     continuous = mass + float(np.log(((1 - OPTIONS.preferred) if hyper.preferred else 1.0) / len(grid)))
-    total = max(coarse.log_evidence, continuous)
-    if hyper.preferred and coarse.hyper in hyper.preferred and coarse.log_evidence > continuous:
+    total = max(coarse[0], continuous)
+    if hyper.preferred and coarse[1].hyper in hyper.preferred and coarse[0] > continuous:
         return coarse
-    return ScoredEffect(candidate, best[0], total, total - best[1])
+    return total, Member(candidate, best[0], total - best[1])
 
 
 def refined(projected: CandidateScoring, candidate: Candidate, low: float, high: float) -> tuple[float, tuple[float, float]]:

@@ -13,10 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import GivenEffect
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -30,9 +28,9 @@ def couplings_of(members: Sequence[Member]) -> tuple[EffectCoupling, ...]:
     return tuple(c for name in names if (c := catalogue.declaration(name).coupling) is not None)
 
 
-def given_through(given: Sequence[GivenEffect], coupling: EffectCoupling) -> dict[Where, float]:
+def given_through(given: EffectSet, coupling: EffectCoupling) -> dict[Where, float]:
     """Location -> mean of the coefficient of the given effects through which a coupled one shows."""
-    return {g.candidate.where: float(g.mean[0]) for g in given if g.candidate.name == coupling.through}
+    return {m.candidate.where: float(m.coefficients[0]) for m in given.with_coefficients if m.candidate.name == coupling.through}
 
 
 def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> Hypothesis:
@@ -60,7 +58,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
     for number in range(OPTIONS.rounds):
         own = coupling.candidates(context, known, complete=True)[0]
         new = together(*(coupling.carrier(context, c, correction, str(number)) for c in carriers), own)
-        found = coefficients(new)
+        found = new.solved
         step, covariance = found.coefficients[found.slices()[-1]], found.covariance[found.slices()[-1], found.slices()[-1]]
         correction = correction + step
         known = carried(new, coupling, found)
@@ -71,7 +69,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
 
 def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: EffectSet | None = None) -> Mapping[Where, float]:
     """Location -> coefficient of the effect through which a coupled one shows, to four digits; none below a share of the largest."""
-    solved = known or coefficients(hypothesis)
+    solved = known or hypothesis.solved
     found = {
         m.candidate.where: float(solved.coefficients[p.start])
         for m, p in zip(hypothesis.members, solved.slices(), strict=True)

@@ -8,13 +8,13 @@ the effects that were not tried (``with_untried_rivals``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, linearised_anew, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
-from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, solution, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.pose_search import PoseSearch
@@ -22,10 +22,12 @@ from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_columns import candidate_columns, candidate_parts
+from mbcacq.diagnosis.search.effect_set import Member, prior_sigma
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.untried import UntriedEffect, untried
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.terms import term
 from mbcacq.estimation.variance_components import pack
 
 
@@ -51,31 +53,23 @@ def kept_centres(hypothesis: Hypothesis) -> np.ndarray:
     return log_density > np.log(OPTIONS.outlier_prior) - 0.5 * np.linalg.slogdet(S)[1]
 
 
-@dataclass(frozen=True)
-class EvidenceFit(RankedSets):
-    """The sets of effects of poses. linear: the linearisation of the best one, without discrepancy."""
-
-    linear: LinearProblem = field(kw_only=True)
-
-
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
     """The hypotheses of a recording, outliers judged with the best of them in place; what else each effect could be is asked at the end."""
     linear = problem.linear.restricted(readmitted(problem))
-    fit = compared(problem, linear, pack(problem.noise))
-    for _ in range(OPTIONS.passes):
-        if fit.cut_short:
-            break
-        before = fit.best.key
-        kept = judged_centres(fit)
-        if not fit.best.members and np.array_equal(kept, linear.keep):
-            break
-        displaced = displacements(fit.best)
-        linear = relinearized(linear, fit.best).restricted(kept)
-        wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        fit = replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
-        if fit.best.key == before:
-            break
-    return fit
+    return linearised_anew(compared(problem, linear, pack(problem.noise)), partial(_compared_anew, problem), OPTIONS.passes)
+
+
+def _compared_anew(problem: DiagnosisProblem, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
+    """The sets at the linearisation of the best one, with its outliers left out; None where both stay, or time is over."""
+    if fit.cut_short or (before is not None and fit.best.key == before.best.key):
+        return None
+    kept = judged_centres(fit)
+    if not fit.best.members and np.array_equal(kept, fit.linear.keep):
+        return None
+    displaced = displacements(fit.best)
+    linear = relinearized(fit.linear, fit.best).restricted(kept)
+    wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
+    return replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
 
 
 def compared(
@@ -91,7 +85,7 @@ def compared(
     alternatives, narrow, staged: of the search (see there).
     """
     blocks = UnmodelledEffects(problem.design_blocks)
-    prior = SetPrior.of(problem.candidates, blocks.locations, [g.candidate.label for g in problem.given])
+    prior = SetPrior.of(problem.candidates, blocks.locations, problem.given.labels)
     search = PoseSearch(
         candidates=problem.candidates,
         prior=prior,
@@ -118,8 +112,8 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     everything, prior = start.restricted(np.ones(len(plain), dtype=bool)), SetPrior.of(problem.candidates, 1)
     scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several or c.hyper is None])
     tried = [(plain, log_with_outliers((), start, 0.0))]
-    for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
-        members, log_prior = (Member(one.candidate, one.hyper, one.log_mass),), prior.log_probability(one.candidate, [])
+    for _, member in sorted(scored, key=lambda one: -one[0])[: OPTIONS.beam]:
+        members, log_prior = (member,), prior.log_probability(member.candidate, [])
         keep = kept_centres(under(everything, members, log_prior))
         tried.append((keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
     return max(tried, key=lambda one: one[1])[0]
@@ -152,10 +146,7 @@ def with_untried_rivals(problem: DiagnosisProblem, fit: EvidenceFit) -> Evidence
         return fit
     rivals = untried(problem.context, problem.candidates)
     locations = len(problem.design_blocks.locations)
-    prior, known = (
-        SetPrior.of(problem.candidates, locations, [g.candidate.label for g in problem.given]),
-        {h.key: h for h in fit.hypotheses},
-    )
+    prior, known = (SetPrior.of(problem.candidates, locations, problem.given.labels), {h.key: h for h in fit.hypotheses})
     for base in {h.key: h for h in (fit.best, reported_hypothesis(fit))}.values():
         for rival in rivals:
             instead = replaced(base, rival, prior)
@@ -185,3 +176,56 @@ def stands_for_untried(problem: DiagnosisProblem, hypothesis: Hypothesis) -> lis
     """The effects of a set that stand for what was not tried."""
     known = {rival.candidate.key: rival for rival in untried(problem.context, problem.candidates)}
     return [known[m.candidate.key] for m in hypothesis.members if m.candidate.name == UNKNOWN and m.candidate.key in known]
+
+
+def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Nuisance parameters and coefficients together (z + k,), and the residual (M, R) that they leave."""
+    columns, sigma, Z = _with_geometry(hypothesis)
+    values = sigma * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T @ hypothesis.point.projected.r0)
+    return values, hypothesis.point.linear.residual - columns @ values
+
+
+def geometry_of(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean (z,) and covariance (z, z) of stations and free geometry, effects integrated out; the last are given effects."""
+    _, sigma, Z = _with_geometry(hypothesis)
+    z = len(sigma) - len(prior_sigma(hypothesis.members))
+    inverse = np.linalg.inv(Z.T @ Z + np.eye(len(sigma)))
+    values = sigma * (inverse @ (Z.T @ hypothesis.point.projected.r0))
+    return values[:z], (sigma[:, None] * inverse * sigma)[:z, :z]
+
+
+def _with_geometry(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns (M, R, z + k) of stations, free geometry and effects, their prior sigma, and the same whitened, in units of sigma."""
+    linear, members = hypothesis.point.linear, hypothesis.members
+    columns, sigma = linear.nuisance()
+    columns = np.concatenate([columns, *(candidate_columns(linear, m.candidate, m.hyper) for m in members)], axis=2)
+    sigma = np.r_[sigma, prior_sigma(members)]
+    return columns, sigma, hypothesis.point.projected.whiten(columns) * sigma
+
+
+def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem:
+    """Linearised anew with the effects in place: a fit without them had distorted the derivatives.
+
+    linear: the problem of the hypothesis without the columns of its discrepancy.
+    """
+    members = hypothesis.members
+    if not members:
+        return linear
+    effects = [term(m.candidate.name, candidate_parts(linear, m.candidate, m.hyper), sigma=m.size * m.candidate.typical) for m in members]
+    return linear.adjusted(effects, hypothesis.point.noise)
+
+
+def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
+    """(M, R) of each effect, by the mean of its coefficients."""
+    linear, found = hypothesis.point.linear, hypothesis.solved
+    return [
+        candidate_columns(linear, m.candidate, m.hyper) @ found.coefficients[p] for m, p in zip(found.members, found.slices(), strict=True)
+    ]
+
+
+def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:
+    """Each effect is wrong, at each pose, by a share of what it displaces there: columns (M, R) as those of a joint's repeatability."""
+    if not displaced:
+        return linear
+    extra = linear.rows.pad(share * np.stack(displaced, axis=2))
+    return replace(linear, columns_by_pose=linear.columns_by_pose.with_noise(extra))

@@ -6,7 +6,7 @@ What is compared may be poses or a motion: each is an ``EvidencePoint``, the row
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -15,7 +15,8 @@ import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.search.effect_set import Member, slices_of
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member, slices_of
+from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
@@ -23,21 +24,17 @@ LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
 MOST_CURVED = 4.0  # times its information by which the log posterior of a noise may be curved, as one step shows it
 
 
-class NormalSystem(Protocol):
+@dataclass(frozen=True, eq=False)
+class NormalSystem:
     """Normal equations of effects beyond everything else at one noise: A (k, k), a (k,), coefficients in typical sizes. log_likelihood: of
-    everything else alone, with the log prior of the noise.
+    everything else alone, with the log prior of the noise, up to a constant of the recording. score: gradient and information of the log
+    posterior by the noise, with the effects in place, from the prior weight (k,) of each coefficient.
     """
 
-    @property
-    def A(self) -> np.ndarray: ...
-    @property
-    def a(self) -> np.ndarray: ...
-    @property
-    def log_likelihood(self) -> float: ...
-
-    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient and information of the log posterior by the noise, with the effects in place; weight (k,): prior weight of each."""
-        ...
+    A: np.ndarray
+    a: np.ndarray
+    log_likelihood: float
+    score: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class EvidencePoint(Protocol):
@@ -53,6 +50,10 @@ class EvidencePoint(Protocol):
 
     def conditioned(self, members: Sequence[Member]) -> Any:
         """The problem with these effects, each at its most probable size, in place; further candidates are scored in it."""
+        ...
+
+    def solved(self, members: Sequence[Member]) -> EffectSet:
+        """These effects with the posterior of their coefficients, each at its most probable size, everything else integrated out."""
         ...
 
     def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[Self, np.ndarray]:
@@ -106,6 +107,11 @@ class Hypothesis(Generic[P]):
     def conditioned(self) -> Any:
         """The problem with the effects of the set in place."""
         return self.point.conditioned(self.members)
+
+    @property
+    def solved(self) -> EffectSet:
+        """The effects with the posterior of their coefficients."""
+        return self.point.solved(self.members)
 
     def forget(self) -> None:
         """Give back the memory of what is computed again where it is asked for: a long recording with its effects in place, and the
@@ -187,19 +193,28 @@ def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray
     return log_density + expected - 0.5 * float(np.linalg.slogdet(information)[1])
 
 
+def is_common(candidate: Candidate) -> bool:
+    """Whether every arm has the effect."""
+    return catalogue.declaration(candidate.name).every_arm and not candidate.rows.extends
+
+
 @dataclass(frozen=True)
 class SetPrior:
     """Prior probabilities of sets: every kind alike, every location of a kind alike, but those that most arms of a class have beside
-    another. locations: number of candidates of each kind; given: effects (``name:where``) that are there whatever the set.
+    another. locations: number of candidates of each kind; given: effects (``name:where``) that are there whatever the set; odds_of_common:
+    that an effect which every arm has (friction, elastic joints, drives that lag) shows, where it has odds of its own.
     """
 
     locations: Counter[str]
     unmodelled_locations: int
     given: frozenset[str] = frozenset()
+    odds_of_common: float | None = None
 
     @classmethod
-    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int, given: Collection[str] = ()) -> SetPrior:
-        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1), frozenset(given))
+    def of(
+        cls, candidates: Collection[Candidate], unmodelled_locations: int, given: Collection[str] = (), odds_of_common: float | None = None
+    ) -> SetPrior:
+        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1), frozenset(given), odds_of_common)
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
@@ -211,6 +226,8 @@ class SetPrior:
 
     def of_one(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of an effect that is not usual beside those present."""
+        if self.odds_of_common is not None and is_common(candidate):
+            return float(np.log(self.odds_of_common))
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
     def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:

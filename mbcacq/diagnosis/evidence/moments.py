@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -62,7 +61,7 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     others = with_others(hypothesis, member)
     probability = likelihood(others, candidate, values)
     std = float(np.sqrt(probability @ (values - found) ** 2))
-    there = coefficients(hypothesis)
+    there = hypothesis.solved
     reported = there.coefficients[there.slices()[hypothesis.members.index(member)]]
     away = sizes_with(others, member, values) - reported
     along = (away * probability[:, None]).T @ away

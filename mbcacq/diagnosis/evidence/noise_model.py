@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member, prior_sigma
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
@@ -61,7 +62,17 @@ class NoisePoint:
         blocks = [(self.projected.block(m.candidate, m.hyper), 1.0 / (m.size * m.candidate.typical) ** 2) for m in members]
         return self.projected.conditioned_on(blocks)
 
-    def with_effects(self, extended: ExtendedProblem) -> EffectsSystem:
+    def solved(self, members: Sequence[Member]) -> EffectSet:
+        """These effects with the posterior of their coefficients, geometry integrated out."""
+        p, sigma = self.projected, prior_sigma(members)
+        X = np.concatenate([np.zeros((len(p.r0), 0)), *(p.block(m.candidate, m.hyper) for m in members)], axis=1)
+        absorbed = p.Q.T @ X
+        normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
+        inverse = np.linalg.inv(normal)
+        values = sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry())))
+        return EffectSet(tuple(members), values, sigma[:, None] * inverse * sigma)
+
+    def with_effects(self, extended: ExtendedProblem) -> NormalSystem:
         """The normal equations of effects, of k coefficients near one, beyond the geometry. extended: of the geometry and their columns."""
         system = extended.at(self.complete_noise)
         normal, g = system.normal, self.linear.layout.size
@@ -73,7 +84,17 @@ class NoisePoint:
         chi2 = normal.cost - float(np.sum(normal.station_b**2) + reduced[:, k] @ reduced[:, k])
         scale = self.linear.keep[:, None] * np.log(self.linear.rows.sigma_scale)
         log_det = system.poses.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
-        return EffectsSystem(self, system, A, a, -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise))
+        log_likelihood = -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise)
+        return NormalSystem(A, a, log_likelihood, partial(self.score, system))
+
+    def score(self, system: PoseSystem, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of the log posterior by theta, with the effects in place. weight (k,): prior weight of each."""
+        full, prior, theta = self.complete_noise, self.prior, self.theta
+        weighted = system.with_weight(np.r_[np.zeros(system.normal.size - len(weight)), weight])
+        gradient, information = reml_score_and_information(weighted.after_fit(), full)
+        n = len(self.noise.joint)
+        free = np.r_[np.arange(3 + n), len(full.joint) + 3]  # what is held has no derivative
+        return gradient[free] - prior.precision @ (theta - prior.centre), information[np.ix_(free, free)] + prior.precision
 
     def forget(self) -> None:
         """Give back the memory of the projected problem."""
@@ -94,27 +115,3 @@ def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
     candidate = member.candidate
     columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: candidate_columns(linear, candidate, member.hyper))
     return columns * candidate.typical
-
-
-@dataclass(frozen=True, eq=False)
-class EffectsSystem:
-    """Effects beyond the geometry at one noise: normal matrix A (k, k) and right-hand side a (k,) of their coefficients.
-
-    log_likelihood: restricted, with geometry alone, and the log prior of the noise, up to a constant of the recording.
-    """
-
-    point: NoisePoint
-    system: PoseSystem
-    A: np.ndarray
-    a: np.ndarray
-    log_likelihood: float
-
-    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient and information of the log posterior by theta, with the effects in place; weight (k,): prior weight of each."""
-        full, prior, theta = self.point.complete_noise, self.point.prior, self.point.theta
-        system = self.system
-        weighted = system.with_weight(np.r_[np.zeros(system.normal.size - len(weight)), weight])
-        gradient, information = reml_score_and_information(weighted.after_fit(), full)
-        n = len(self.point.noise.joint)
-        free = np.r_[np.arange(3 + n), len(full.joint) + 3]  # what is held has no derivative
-        return gradient[free] - prior.precision @ (theta - prior.centre), information[np.ix_(free, free)] + prior.precision

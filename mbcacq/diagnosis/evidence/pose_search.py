@@ -7,19 +7,17 @@ from dataclasses import dataclass, replace
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import (
-    ScoredEffect,
+    Scored,
     evidence_of_candidate,
     evidence_of_candidates,
     evidence_of_one,
     scanned_candidate,
 )
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, under
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import GivenEffect
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
@@ -43,7 +41,7 @@ class PoseSearch(EvidenceSearch):
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects
     context: Context
-    given: Sequence[GivenEffect] = ()
+    given: EffectSet = NO_EFFECTS
     staged: bool = False
 
     def begun(self, best: Hypothesis) -> Hypothesis:
@@ -107,11 +105,8 @@ class PoseSearch(EvidenceSearch):
 
     def further(self, node: Hypothesis, candidates: list[Candidate], least: float) -> list[tuple[float, Member]]:
         present = [m.candidate for m in node.members]
-        possible = [
-            self.weighted(scored, present)
-            for scored in evidence_of_candidates(node.conditioned, candidates)
-            if self.allowed(scored.candidate, present)
-        ]
+        scored = evidence_of_candidates(node.conditioned, candidates)
+        possible = [self.weighted(one, present) for one in scored if self.allowed(one[1].candidate, present)]
         for candidate in self.dependent(node):
             if not any(c.name == candidate.name for c in present):
                 possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
@@ -122,11 +117,11 @@ class PoseSearch(EvidenceSearch):
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload, say, shows through elastic joints."""
-        names = {*(m.candidate.name for m in node.members), *(g.candidate.name for g in self.given)}
+        names = {*(m.candidate.name for m in node.members), *self.given.names}
         possible = [c for c in catalogue.couplings() if c.through in names]
         if not possible:
             return []
-        found, out = coefficients(node), list[Candidate]()
+        found, out = node.solved, list[Candidate]()
         for coupling in possible:
             there = {
                 m.candidate.where: float(f"{found.coefficients[p.start]:.2g}")
@@ -137,10 +132,10 @@ class PoseSearch(EvidenceSearch):
             out += coupling.candidates(self.context, there)
         return out
 
-    def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
-        return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member(
-            scored.candidate, scored.hyper, scored.log_mass
-        )
+    def weighted(self, scored: Scored, present: Sequence[Candidate]) -> tuple[float, Member]:
+        """Log posterior odds of a scored effect."""
+        log, member = scored
+        return log + self.prior.log_probability(member.candidate, present), member
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         if candidate.several:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
@@ -16,19 +14,7 @@ from mbcacq.effects.declaration import EffectCoupling
 MOST_LOG_ODDS = 30.0  # larger ones are no more certain, and would overflow
 
 
-@dataclass(frozen=True)
-class RankedAlternative:
-    """Another effect, as ``name:where``, in the place of a reported one. odds: posterior probability relative to the reported set's.
-
-    hypothesis: the set with it.
-    """
-
-    label: str
-    odds: float
-    hypothesis: Hypothesis
-
-
-def reported_hypothesis(fit: RankedSets) -> Hypothesis:
+def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
     """The smallest subset of the most probable set whose posterior odds against that set exceed 1 : 20. An effect that shows only through
     another one needs the same odds against sets with that other one alone.
     """
@@ -53,7 +39,7 @@ def is_coupled(hypothesis: Hypothesis) -> bool:
     return bool(couplings_of(hypothesis.members))
 
 
-def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
+def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
     """Effects that show only through another one and that the reported set, which has none, does not exclude: their couplings, with the
     odds of the most probable set that has one.
     """
@@ -68,11 +54,11 @@ def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectC
     return list(best.values())
 
 
-def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[RankedAlternative]:
-    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
-    most probable set.
+def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> dict[str, float]:
+    """What else (``name:where``) could stand in the place of a reported effect, with its odds relative to the reported set, most probable
+    first: beside the other reported ones, or beside those of the most probable set.
     """
-    best: dict[str, RankedAlternative] = {}
+    best: dict[str, float] = {}
     for base in (reported, fit.best):
         rest = base.labels - {label}
         for h in fit.hypotheses:
@@ -80,13 +66,11 @@ def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[R
             if label in h.labels or len(others) != 1 or not rest <= h.labels:
                 continue
             (name,) = others
-            odds = relative_odds(h, base)
-            if name not in best or best[name].odds < odds:
-                best[name] = RankedAlternative(name, odds, h)
-    return sorted(best.values(), key=lambda r: -r.odds)
+            best[name] = max(relative_odds(h, base), best.get(name, 0.0))
+    return dict(sorted(best.items(), key=lambda one: -one[1]))
 
 
-def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
+def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
     """Sets that are neither part nor extension of the reported one, and have more than a twentieth of its probability."""
     least = reported.log_posterior + np.log(OPTIONS.undecided)
     out: dict[frozenset[str], Hypothesis] = {}

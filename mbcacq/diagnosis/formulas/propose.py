@@ -10,12 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.formulas.dictionary import OPTIONS
 from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, candidate, described, different
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.basis_functions import Location, locations_of_arm, scanner_location
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
@@ -74,14 +73,6 @@ class Setting:
         return [held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts]
 
 
-@dataclass(frozen=True)
-class Proposed:
-    """Formulas that are offered; tried: a sentence on those that were found and are not."""
-
-    proposals: tuple[Proposal, ...] = ()
-    tried: tuple[str, ...] = ()
-
-
 def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Sequence[PredictiveScore]) -> bool:
     """Whether a formula predicts data left out not worse than the smooth effect, within the scatter of their difference between the parts,
     and comes again in most of the searches without a part. One that does not describes the data it was found in and nothing else.
@@ -103,22 +94,22 @@ def refused(proposal: Proposal) -> str:
 
 def propose(
     problem: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound], progress: Callable[[str], None] = lambda text: None
-) -> Proposed:
-    """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none holds up on data left
-    out.
+) -> tuple[tuple[Proposal, ...], tuple[str, ...]]:
+    """At most a few formulas for what the unmodelled effects do together, the most probable first, and a sentence on those that were found
+    and are not offered: a formula must hold up on data left out.
 
     One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
     """
     where = located(problem.context, [e for e in effects if e.name == UNKNOWN])
     if not where:
-        return Proposed()
+        return (), ()
     progress("searching for formulas of the unmodelled effects")
     here = Setting.of(problem, full)
     space = FormulaSpace.of(here.context, where)
     found = FormulaSearch(here.point, here.others, space).run()
     formulas = different(f for f in found if f.log_posterior > 0)[: OPTIONS.proposed]
     if not formulas:
-        return Proposed(tried=("a formula was sought: none of the dictionary is more probable than no formula",))
+        return (), ("a formula was sought: none of the dictionary is more probable than no formula",)
     progress("searching for formulas without each part of the data")
     again = [FormulaSearch(here.point.restricted(train), here.others, space).to_first_order() for train, _ in here.parts]
     best_again = [{f.shapes for f in different(each)[: OPTIONS.proposed]} for each in again]
@@ -132,9 +123,9 @@ def propose(
         judged.append((proposal, holds_up(proposal, scores, smooth)))
     offered = [p for p, good in judged if good]
     if not offered:
-        return Proposed(tried=(refused(judged[0][0]),))
+        return (), (refused(judged[0][0]),)
     best = max(p.odds for p in offered)
-    return Proposed(tuple(replace(p, odds=float(p.odds / best)) for p in offered))
+    return tuple(replace(p, odds=float(p.odds / best)) for p in offered), ()
 
 
 def proposal_of(here: Setting, formula: Formula, scores: Sequence[PredictiveScore], found_in: int, most_probable: float) -> Proposal:
@@ -186,7 +177,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
     """The formula with its coefficients as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a
     term's coefficients of one unit.
     """
-    found, k = coefficients(formula.hypothesis), len(formula.sigma)
+    found, k = formula.hypothesis.solved, len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]
     values = found.coefficients[-k:]

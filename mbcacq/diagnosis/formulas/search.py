@@ -11,7 +11,6 @@ from functools import cache, cached_property
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from mbcacq.diagnosis.evidence.coefficients import prior_sigma
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import relative_to_best_determined
@@ -21,7 +20,7 @@ from mbcacq.diagnosis.nonparametric.basis_functions import Location, Shape
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import Member, prior_sigma
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Candidate, StandstillRows

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry, MotionStep
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
+from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
 from mbcacq.diagnosis.findings import Advice, NotSeparable
-from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
-from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
+from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
 from mbcacq.diagnosis.motion.result import (
@@ -25,6 +25,7 @@ from mbcacq.diagnosis.motion.result import (
     FitOfMotion,
     MotionDiagnosis,
 )
+from mbcacq.diagnosis.output.evidence_summary import summary_of
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.motion_effect import MotionSignals
@@ -88,7 +89,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
     loads = tuple(pair for fit in fits for pair in fit.load_alternatives)
-    alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
+    alike = tuple(pair for fit in fits if fit.sets is not None for pair, *_ in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
         verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels),
@@ -98,7 +99,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
         not_separable=not_separable,
         advice=(*_advice_on_sets(alike), *_advice(runs, loads)),
         inertial=tuple(b for fit in fits for b in _inertial(fit)),
-        evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
+        evidence=tuple(ChannelEvidence(fit.group.name, summary_of(fit.sets)) for fit in fits if fit.sets is not None),
     )
 
 
@@ -134,15 +135,9 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Effe
         held_out_gain=share,
         held_out_gain_here=table.share(gain, at),
         alternatives=tuple(effect.alternatives),
-        steps=tuple(_step(fit, step, at) for step in effect.steps),
+        steps=tuple(effect.steps),
         notes=tuple(effect.notes),
     )
-
-
-def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
-    scale = _scale(fit)
-    before, after = ({_axis(fit, j): scale * float(np.sqrt(square[j])) for j in at} for square in (step.before, step.after))
-    return MotionStep(tuple(step.adds), before, after)
 
 
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MismatchEntry:
@@ -152,25 +147,21 @@ def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Mi
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
-    fit, scale = table.fit, _scale(table.fit)
+    fit, scale = table.fit, table.fit.group.scale
     train, held_out = _error(fit, j, fit.train_before[j], fit.train_after[j]), _error(fit, j, table.before[j], table.after[j])
     refused = scale * float(np.sqrt(refused_after)) if table.refused[j] else None
-    return ChannelFit(fit.group.name, _axis(fit, j), _unit(fit), scale * float(fit.floor[j]), train, held_out, refused)
+    return ChannelFit(fit.group.name, _axis(fit, j), fit.group.shown_unit, scale * float(fit.floor[j]), train, held_out, refused)
 
 
 def checked_channels(fit: MotionFit, before: np.ndarray, after: np.ndarray) -> list[CheckedChannel]:
     """Residuals of a fit in another recording, joint by joint; before, after: mean squares (J,) without and with its effects."""
     each = ((_axis(fit, j), _error(fit, j, before[j], after[j])) for j in range(len(fit.group.joints)))
-    return [CheckedChannel(fit.group.name, at, _unit(fit), error) for at, error in each]
-
-
-def _unit(fit: MotionFit) -> str:
-    return "deg" if fit.group.unit == "rad" else fit.group.unit
+    return [CheckedChannel(fit.group.name, at, fit.group.shown_unit, error) for at, error in each]
 
 
 def _error(fit: MotionFit, j: int, before: float, after: float) -> ErrorBeforeAfter:
     """before, after: mean squares of joint j."""
-    scale, floor = _scale(fit), float(fit.floor[j])
+    scale, floor = fit.group.scale, float(fit.floor[j])
     rms = scale * float(np.sqrt(before)), scale * float(np.sqrt(after))
     return ErrorBeforeAfter(*rms, float(before / floor**2), float(after / floor**2))
 
@@ -219,8 +210,3 @@ def _inertial(fit: MotionFit) -> list[BodyInertia]:
 
 def _axis(fit: MotionFit, j: int) -> str:
     return f"A{fit.group.joints[j] + 1}"
-
-
-def _scale(fit: MotionFit) -> float:
-    """From the unit of the computation to that of the result."""
-    return float(np.degrees(1)) if fit.group.unit == "rad" else 1.0

@@ -21,14 +21,11 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged
 from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, ComparedSet, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
-from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import (
     DecidedPair,
-    EvidenceSets,
     JointEvidence,
     JointSet,
     ParameterAgreement,
-    StatedEffect,
     distance_of,
     joint_evidence,
     log_odds_of,
@@ -168,13 +165,13 @@ class PosesAndMotion:
         return self.poses.effects if one is None else over_joint_sets(one, evidence, self._joint.sets)
 
     @property
-    def given_by_motion(self) -> list[StatedParameters]:
+    def given_by_motion(self) -> list[ComparedEffect]:
         """Effects of which the motion is sure, in the words of the poses: those in every set that its evidence does not exclude."""
         sure: set[str] = set()
         for one in self.motion.evidence:
             likely = [s for s in one.evidence.sets if s.log_odds > np.log(OPTIONS.undecided)]
-            sure |= set.intersection(*({label_of(e.name, e.where) for e in s.effects} for s in likely)) if likely else set()
-        stated = [StatedParameters(name, where, p) for name, found in self.in_terms_of_poses.items() for where, p in found]
+            sure |= set.intersection(*({e.label for e in s.effects} for s in likely)) if likely else set()
+        stated = [ComparedEffect(name, where, p) for name, found in self.in_terms_of_poses.items() for where, p in found]
         return [one for one in stated if one.label in sure]
 
     @cached_property
@@ -213,8 +210,7 @@ class PosesAndMotion:
         """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
         first, second = pair.effects
         load, odds = (second, 1.0) if first == ARM else (first, -1.0)
-        moving = [sets_of(one.evidence, self.every) for one in self.motion.evidence]
-        own = sum(log_odds_of(load, zip(one.effects, one.log_odds, strict=True)) for one in moving if load in one.known)
+        own = sum(_own_log_odds(load, one.evidence) for one in self.motion.evidence)
         both = log_odds_of(load, ((one.effects, one.log_odds) for one in self._joint.sets))
         log = odds * float(np.log(max(pair.odds or 0.0, RARE))) + both - own
         least = -float(np.log(OPTIONS.undecided))
@@ -232,11 +228,10 @@ class PosesAndMotion:
         """The same with all sets."""
         if self.poses.evidence is None or not self.motion.evidence:
             return JointEvidence((), -np.inf)
-        moving = [sets_of(one.evidence, self.every) for one in self.motion.evidence]
-        found = joint_evidence([sets_of(self.poses.evidence), *moving])
+        moving = [in_words_of_poses(one.evidence, self.every) for one in self.motion.evidence]
+        found = joint_evidence([self.poses.evidence, *moving])
         if self.given is not None:
-            of_poses = replace(sets_of(self.given.evidence), given=frozenset(self.given.given))
-            beside = joint_evidence([of_poses, *moving])
+            beside = joint_evidence([self.given.evidence, *moving], self.given.given)
             found = replace(found, sets=beside.sets or found.sets)
         return found
 
@@ -281,11 +276,10 @@ class PosesAndMotion:
 def over_joint_sets(one: ComparedSet, evidence: EvidenceSummary, joint: Sequence[JointSet]) -> tuple[ComparedEffect, ...]:
     """The effects of a set of the poses with the parameters as they state them in all joint sets that are not excluded."""
     parts = [(s.log_odds, evidence.part_of(s.effects)) for s in joint if s.log_odds > np.log(OPTIONS.undecided)]
-    each = [(log, {label_of(e.name, e.where): e.parameters for e in part.effects}) for log, part in parts if part is not None]
-    own = {label_of(e.name, e.where): e.parameters for e in one.effects}
+    each = [(log, {e.label: e.parameters for e in part.effects}) for log, part in parts if part is not None]
+    own = {e.label: e.parameters for e in one.effects}
     sets = [WeightedSet(float(np.exp(log)), stated) for log, stated in each]
-    labelled = [(e, label_of(e.name, e.where)) for e in one.effects]
-    return tuple(replace(e, parameters={**e.parameters, **averaged(label, e.parameters, own, sets)}) for e, label in labelled)
+    return tuple(replace(e, parameters={**e.parameters, **averaged(e.label, e.parameters, own, sets)}) for e in one.effects)
 
 
 def translated(name: str, parameters: Parameters, every: Parameters) -> Parameters:
@@ -303,21 +297,17 @@ def labels_of(effects: Iterable[tuple[str, tuple[str, ...]]]) -> set[str]:
     return out
 
 
-def sets_of(evidence: EvidenceSummary, every: Parameters | None = None) -> EvidenceSets:
-    """The sets of an evidence. every: parameters of both, of the evidence of a motion, which is put into the words of the poses."""
-    out = []
-    for one in evidence.sets:
-        effects: dict[str, StatedEffect] = {}
-        for e in one.effects:
-            stated, prior = (p if every is None else translated(e.name, p, every) for p in (e.parameters, e.prior))
-            label = label_of(e.name, e.where)
-            before = effects.get(label, StatedEffect())
-            log_prior = before.log_prior + (e.log_prior or 0.0)
-            effects[label] = StatedEffect({**before.parameters, **stated}, {**before.prior, **prior}, log_prior)
-        out.append(effects)
-    log_odds = np.array([one.log_odds for one in evidence.sets])
-    some = np.array([bool(one.effects) for one in evidence.sets])
-    mass = 0.0
-    if some.any() and not some.all() and np.isfinite(evidence.log_e_value):
-        mass = float(np.logaddexp.reduce(log_odds[some]) - log_odds[~some].max()) - evidence.log_e_value
-    return EvidenceSets(tuple(log_odds.tolist()), tuple(out), max(mass, 0.0))
+def in_words_of_poses(evidence: EvidenceSummary, every: Parameters) -> EvidenceSummary:
+    """The evidence of a motion with its parameters in the words of the poses. every: the parameters of all effects."""
+
+    def said(e: ComparedEffect) -> ComparedEffect:
+        parameters, prior = (translated(e.name, p, every) for p in (e.parameters, e.prior))
+        return replace(e, parameters=parameters, prior=prior)
+
+    return replace(evidence, sets=tuple(replace(one, effects=tuple(map(said, one.effects))) for one in evidence.sets))
+
+
+def _own_log_odds(label: str, evidence: EvidenceSummary) -> float:
+    """Log odds of an effect by one evidence; zero where it was not compared there."""
+    each = [({e.label for e in one.effects}, one.log_odds) for one in evidence.sets]
+    return log_odds_of(label, each) if any(label in labels for labels, _ in each) else 0.0

@@ -9,19 +9,18 @@ from typing import ClassVar
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, is_common, under
 from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 
 # Log Bayes factor L at the noise of a set with the effect. Without it the noise of n samples that count grows, and what remains is about
 # n/2 log(1 + 2 L / n): with ten samples still 13, which no prior of a set outweighs.
 BEYOND_DOUBT = 60.0
 
-ODDS_OF_COMMON = 0.5  # that what every arm has is large enough to show, beforehand
+ODDS_OF_COMMON = 0.5  # beforehand, that what every arm has is large enough to show
 
 Forms = tuple[Member, ...]  # a candidate at all values of its hyper-parameter
 
@@ -41,20 +40,6 @@ def sized(member: Member, prior: np.ndarray, information: np.ndarray) -> Member:
 def that_show(forms: Forms, information: np.ndarray) -> Forms:
     """The variants of a candidate that change any sample; of others there is no size to be compared. information: (P,) of all columns."""
     return tuple(one for one in forms if (information[one.columns] > 0).all())
-
-
-@dataclass(frozen=True)
-class MotionPrior(SetPrior):
-    """Prior probabilities of sets. Effects that every arm has (friction, elastic joints, drives that lag) are half as likely to show as
-    not."""
-
-    def of_one(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
-        return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().of_one(candidate, present)
-
-
-def is_common(candidate: Candidate) -> bool:
-    """Whether every arm has the effect."""
-    return catalogue.declaration(candidate.name).every_arm and not candidate.rows.extends
 
 
 def log_prior_mass(candidates: Sequence[Forms]) -> float:

@@ -7,17 +7,18 @@ hyper-parameters and the load are estimated anew, and periodic components are lo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceFit, linearised_anew, log_e_value
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
-from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized, that_show
+from mbcacq.diagnosis.motion.effect_search import ODDS_OF_COMMON, MotionSearch, log_prior_mass, sized, that_show
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.load_error import follow_load_error
@@ -54,33 +55,29 @@ class EffectSelection:
         self.judged: dict[tuple, Judged] = {}
         chosen = model.chosen()
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
-        self.sets: RankedSets | None = None
+        self.sets: EvidenceFit | None = None
 
     def run(self) -> None:
         """Start with what every arm may have; change the set as long as that makes it more probable; report what the evidence shows."""
         self.model.selected = [forms[len(forms) // 2] for forms in self.pool.usual()]
-        settle = True
-        for _ in range(MOST_PASSES):
-            if self.budget.spent and not settle:
-                break
-            best = self._compared(settle=settle).hypotheses[0]
-            before, after = self._forms(), frozenset(m.candidate.form for m in best.members)
-            if not settle and after == before:
-                best = self._grown(best)
-                after = frozenset(m.candidate.form for m in best.members)
-                if after == before:
-                    break
-            self._left_out |= set() if settle else before - after  # what came and went is not asked again
-            settle = False
-            self._take(best)
+        linearised_anew(self._compared(settle=True), self._compared_anew, MOST_PASSES)
         self.sets = self._compared(alternatives=self.model.store.whole)
         self._report(self.sets)
         self.pool.forget_step()
 
-    def _forms(self) -> frozenset:
-        return frozenset(e.candidate.form for e in self.model.selected)
+    def _compared_anew(self, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
+        """The sets near the most probable one, linearised with that in place; None where nothing is beyond it, or time is over."""
+        best, selected = fit.hypotheses[0], _forms(self.model.selected)
+        if before is not None:
+            if _forms(best.members) == selected:
+                best = self._grown(best)
+                if _forms(best.members) == selected:
+                    return None
+            self._left_out |= selected - _forms(best.members)  # what came and went is not asked again
+        self._take(best)
+        return None if self.budget.spent else self._compared()
 
-    def _compared(self, settle: bool = False, alternatives: bool = False) -> RankedSets:
+    def _compared(self, settle: bool = False, alternatives: bool = False) -> EvidenceFit:
         """The sets near the present one, in the present linearisation."""
         model, pool, store = self.model, self.pool, self.model.store
         pool.forget_step()
@@ -97,7 +94,7 @@ class EffectSelection:
         self._colour = colour
         self._search = search = MotionSearch(
             candidates=candidates,
-            prior=MotionPrior.of([forms[0].candidate for forms in candidates], 1),
+            prior=SetPrior.of([forms[0].candidate for forms in candidates], 1, odds_of_common=ODDS_OF_COMMON),
             alternatives=alternatives,
             narrow=True,
             settle=settle,
@@ -110,7 +107,7 @@ class EffectSelection:
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
         log_e = log_e_value(ranked) - log_prior_mass(candidates)
-        return RankedSets(tuple(ranked), search.known[()], log_e, LEAST_LOG_E_VALUE, search.prior, cut_short=self.budget.spent)
+        return EvidenceFit(tuple(ranked), search.known[()], log_e, LEAST_LOG_E_VALUE, search.prior, cut_short=self.budget.spent)
 
     def _grown(self, best: Hypothesis) -> Hypothesis:
         """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.
@@ -152,7 +149,7 @@ class EffectSelection:
             return self.pool.kept(member)
         return replace(member, columns=before.columns) if before.hyper == member.hyper else member
 
-    def _report(self, sets: RankedSets) -> None:
+    def _report(self, sets: EvidenceFit) -> None:
         """Keep what the evidence shows, with the held-out errors without and with each effect, and what else it could be.
 
         With a part of the recordings held out, nothing is reported but predicted, by the most probable set.
@@ -178,7 +175,7 @@ class EffectSelection:
                 p_value=float(np.exp(-max(lost, 0.0))),
                 before=self._mean_square_without(effect, weights, normals),
                 after=after,
-                alternatives=[Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)],
+                alternatives=[Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()],
             )
 
     def _mean_square_without(self, effect: Member, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
@@ -190,6 +187,10 @@ class EffectSelection:
         out = model.held_out_mean_square(chosen, model.fold_normals(weights))
         model.store.correct_delay(delay)
         return out
+
+
+def _forms(members: Sequence[Member]) -> frozenset:
+    return frozenset(m.candidate.form for m in members)
 
 
 def _relinearises(candidate: Candidate) -> bool:

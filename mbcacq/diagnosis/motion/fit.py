@@ -11,13 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.effect_found import Alternative
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.effect_found import Alternative, MotionStep
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
-from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
-from mbcacq.diagnosis.motion.evidence_summary import coefficients
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_error import load_alternatives, load_error
@@ -33,16 +31,9 @@ from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.trajectory import Trajectory
 
+# Relative distance from the first or last value tried within which a hyper-parameter is at that bound.
+BOUND = 1e-6
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
-
-
-@dataclass(frozen=True)
-class FitStep:
-    """One form of an effect, in the order of selection. adds: names of its parameters; before, after: (J,) held-out mean square."""
-
-    adds: list[str]
-    before: np.ndarray
-    after: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,7 +48,7 @@ class FittedEffect:
     parameters: Parameters
     p_value: float
     gain: np.ndarray
-    steps: list[FitStep]
+    steps: list[MotionStep]
     alternatives: list[Alternative]
     contributions: ByRun
     notes: list[str]
@@ -77,7 +68,7 @@ class MotionFit:
         Torque by which the links differ from their description, as fitted.
     load_error : list[ndarray]
         (T, J, r) by run, what independent errors of standard deviation 1 change of the torque that passes the gears.
-    sets : RankedSets or None
+    sets : EvidenceFit or None
         Sets of effects that were compared.
     load_alternatives : list[NotSeparable]
         Other loads that they do not exclude.
@@ -102,7 +93,7 @@ class MotionFit:
     split: str
     links: ByRun
     load_error: list[np.ndarray]
-    sets: RankedSets | None = None
+    sets: EvidenceFit | None = None
     inertial: np.ndarray | None = None
     load_alternatives: list[NotSeparable] = field(default_factory=list)
 
@@ -194,11 +185,11 @@ def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, 
     return list(out.values())
 
 
-def _averaged(effects: list[FittedEffect], sets: RankedSets | None) -> list[FittedEffect]:
+def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[FittedEffect]:
     """The effects with the parameters as all sets state them that are not excluded."""
     if sets is None or not sets.significant:
         return effects
-    between = BetweenSets.of(sets, coefficients)
+    between = BetweenSets.of(sets)
     return [replace(e, parameters=between.averaged([e.candidate.label], e.parameters)) for e in effects]
 
 
@@ -216,22 +207,39 @@ def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v
         parameters=parameters,
         p_value=judged.p_value,
         gain=judged.before - judged.after,
-        steps=[FitStep(list(parameters), judged.before, judged.after)],
+        steps=[_step(model.group, candidate, parameters, judged)] if len(judged.before) else [],
         alternatives=judged.alternatives,
         contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
     )
 
 
+def at_bound(member: Member) -> bool:
+    """The reported hyper-parameter is at the first or last value that was tried."""
+    tried, hyper = member.candidate.hyper, member.hyper
+    if tried is None or not tried.name or hyper is None:
+        return False
+    first, last = float(np.min(tried.values)), float(np.max(tried.values))
+    return hyper >= last * (1.0 - BOUND) or (not tried.from_none and hyper <= first * (1.0 + BOUND))
+
+
+def _step(group: ChannelGroup, candidate: Candidate, parameters: Parameters, judged: Judged) -> MotionStep:
+    """The held-out errors of the joints on which an effect acts, without it and with it."""
+    before, after = (
+        {f"A{joint + 1}": group.scale * float(np.sqrt(square[group.index(joint)])) for joint in candidate.rows.joints}
+        for square in (judged.before, judged.after)
+    )
+    return MotionStep(tuple(parameters), before, after)
+
+
 def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     """An effect with one form more."""
     added = zip(first.contributions, other.contributions, strict=True)
-    (step,) = other.steps
     return replace(
         first,
         parameters=joined_parameters((first.parameters, other.parameters)),
         p_value=min(first.p_value, other.p_value),
-        gain=first.gain + step.before - step.after,
+        gain=first.gain + other.gain,
         steps=[*first.steps, *other.steps],
         contributions=[[a + b for a, b in zip(p, q, strict=True)] for p, q in added],
         notes=[*first.notes, *other.notes],
@@ -305,7 +313,7 @@ def motion_series(
     refused = {(c.channel, c.at) for c in channels if c.refused_rms is not None}
     found = []
     for fit in fits:
-        unit, scale = ("deg", float(np.degrees(1))) if fit.group.unit == "rad" else (fit.group.unit, 1.0)
+        unit, scale = fit.group.shown_unit, fit.group.scale
         shown = fit.group.signal if fit.group.name == "tau" else fit.group.mismatch
         for j, joint in enumerate(fit.group.joints):
             at = f"A{joint + 1}"

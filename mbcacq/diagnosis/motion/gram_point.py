@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.normal_store import MISMATCH
+from mbcacq.diagnosis.motion.normal_store import weighted_sum
 from mbcacq.diagnosis.motion.options import RIDGE
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 
 # Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
 # digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).
@@ -63,12 +64,8 @@ class GramProblem:
 
     def weighted(self, weights: np.ndarray, corrected: bool) -> np.ndarray:
         """(P + 1, P + 1) normal matrix of all columns, mismatch last. corrected: for its delay."""
-        P = len(self.prior)
-        out = np.zeros((P + 1, P + 1))
-        for numbers, gram, late, weight in zip(self.numbers, self.gram, self.late, weights, strict=True):
-            at = np.where(numbers == MISMATCH, P, numbers)
-            out[np.ix_(at, at)] += weight * self._with_mismatch(gram, late, corrected)
-        return out
+        each = [self._with_mismatch(gram, late, corrected) for gram, late in zip(self.gram, self.late, strict=True)]
+        return weighted_sum(self.numbers, each, weights, len(self.prior))
 
     def restricted(self, ids: np.ndarray, corrected: bool) -> np.ndarray:
         """(J, c + 1, c + 1) products of these columns by joint, mismatch last."""
@@ -92,38 +89,58 @@ class GramProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedGram:
-    """Gram matrices (J, c + 1, c + 1) of the base and of effects, the latter in typical sizes, mismatch last; base_weight: prior weights
-    of the first columns.
-    """
-
-    gram: np.ndarray
-    base_weight: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class GramPoint:
     """A group of channels at one noise; theta: (J,) logarithms of the variances."""
 
     problem: GramProblem
     theta: np.ndarray
 
-    def extended(self, members: Sequence[Member]) -> ExtendedGram:
+    @property
+    def base_weight(self) -> np.ndarray:
+        """Prior weights of the columns that are always there."""
+        return self.problem.prior[self.problem.base] ** -2.0
+
+    def extended(self, members: Sequence[Member]) -> np.ndarray:
+        """(J, c + 1, c + 1) Gram matrices of the base and of effects, the latter in typical sizes, mismatch last."""
         problem = self.problem
         ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
-        gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
-        return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
+        return problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
 
-    def with_effects(self, extended: ExtendedGram) -> GramSystem:
-        normal = np.einsum("j,jab->ab", np.exp(-self.theta), extended.gram)
-        g = len(extended.base_weight)
-        root = cholesky_of(normal[:g, :g], extended.base_weight)
+    def with_effects(self, extended: np.ndarray) -> NormalSystem:
+        """The normal equations of effects beyond the base. extended: Gram matrices with their columns."""
+        normal, g = np.einsum("j,jab->ab", np.exp(-self.theta), extended), len(self.problem.base)
+        root = cholesky_of(normal[:g, :g], self.base_weight)
         reduced = solve_triangular(root, normal[:g, g:], lower=True, check_finite=False)
         rest = normal[g:, g:] - reduced.T @ reduced
         floor = float(self.problem.count @ (self.problem.least * np.exp(-self.theta)))
         log_det = float(self.problem.count @ self.theta) + 2.0 * float(np.log(np.diag(root)).sum())
-        return GramSystem(self, extended, rest[:-1, :-1], rest[:-1, -1], -0.5 * (log_det + float(rest[-1, -1]) + floor))
+        log_likelihood = -0.5 * (log_det + float(rest[-1, -1]) + floor)
+        return NormalSystem(rest[:-1, :-1], rest[:-1, -1], log_likelihood, partial(self.score, extended))
+
+    def score(self, gram: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of the log likelihood by theta, with the effects in place. weight (k,): prior weight of each."""
+        problem, inverse_variance = self.problem, np.exp(-self.theta)
+        normal = np.einsum("j,jab->ab", inverse_variance, gram)
+        root = cholesky_of(normal[:-1, :-1], np.r_[self.base_weight, weight])
+        inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
+        covariance = inverse.T @ inverse
+        residual = np.append(-covariance @ normal[:-1, -1], 1.0)
+        squares = inverse_variance * (np.einsum("a,jab,b->j", residual, gram, residual) + problem.count * problem.least)
+        spent = inverse_variance * np.einsum("jab,ab->j", gram[:, :-1, :-1], covariance)
+        gradient = 0.5 * (squares + spent - problem.count)
+        return gradient, np.diag(0.5 * np.maximum(problem.count - spent, 0.1 * problem.count))
+
+    def solved(self, members: Sequence[Member]) -> EffectSet:
+        """These effects with the posterior of their coefficients, offsets and masses integrated out."""
+        if not members:
+            return EffectSet(())
+        system = self.with_effects(self.extended(members))
+        size = np.concatenate([np.full(m.candidate.k, m.size) for m in members])
+        typical = np.concatenate([m.candidate.typical for m in members])
+        root = np.linalg.inv(cholesky_of(system.A, size**-2.0))
+        covariance = root.T @ root
+        return EffectSet(tuple(members), typical * (covariance @ system.a), covariance * np.outer(typical, typical))
 
     def conditioned(self, members: Sequence[Member]) -> ConditionedGram:
         return ConditionedGram.of(self, members)
@@ -150,29 +167,6 @@ def cholesky_of(normal: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class GramSystem:
-    """Effects beyond the base at one noise (``evidence.hypothesis.NormalSystem``)."""
-
-    point: GramPoint
-    extended: ExtendedGram
-    A: np.ndarray
-    a: np.ndarray
-    log_likelihood: float
-
-    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gram, problem, inverse_variance = self.extended.gram, self.point.problem, np.exp(-self.point.theta)
-        normal = np.einsum("j,jab->ab", inverse_variance, gram)
-        root = cholesky_of(normal[:-1, :-1], np.r_[self.extended.base_weight, weight])
-        inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
-        covariance = inverse.T @ inverse
-        residual = np.append(-covariance @ normal[:-1, -1], 1.0)
-        squares = inverse_variance * (np.einsum("a,jab,b->j", residual, gram, residual) + problem.count * problem.least)
-        spent = inverse_variance * np.einsum("jab,ab->j", gram[:, :-1, :-1], covariance)
-        gradient = 0.5 * (squares + spent - problem.count)
-        return gradient, np.diag(0.5 * np.maximum(problem.count - spent, 0.1 * problem.count))
-
-
-@dataclass(frozen=True, eq=False)
 class ConditionedGram:
     """The normal equations of all columns beyond the base and the effects of a set."""
 
@@ -185,7 +179,7 @@ class ConditionedGram:
         normal = problem.weighted(np.exp(-point.theta), corrected(members))
         ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         known = [(m.size * m.candidate.typical) ** -2.0 for m in members]
-        root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([problem.prior[problem.base] ** -2.0, *known]))
+        root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([point.base_weight, *known]))
         return cls(normal, solve_triangular(root, normal[ids], lower=True, check_finite=False))
 
     def beyond(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -193,8 +187,3 @@ class ConditionedGram:
         absorbed = self.absorbed[:, ids]  # (c, H, k)
         A = self.normal[ids[:, :, None], ids[:, None, :]] - np.einsum("chk,chl->hkl", absorbed, absorbed)
         return A, self.normal[ids, -1] - np.einsum("chk,c->hk", absorbed, self.absorbed[:, -1])
-
-    @cached_property
-    def scale(self) -> np.ndarray:
-        """(P,) square root of each column's information."""
-        return np.sqrt(np.maximum(np.diag(self.normal)[:-1], 1e-300))

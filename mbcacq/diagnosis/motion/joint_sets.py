@@ -13,15 +13,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
-from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
+from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import ParameterEstimate, Parameters
 from mbcacq.model.json_text import Number
@@ -31,42 +31,6 @@ MOST_SETS = 12  # of each evidence: further ones are less probable than the best
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
 PHASE, TURN = "phase_deg", 360.0
 UNIFORM_DEG = TURN / np.sqrt(12.0)  # standard deviation of an angle of which nothing is known
-
-
-@dataclass(frozen=True)
-class StatedEffect:
-    """What one set of one evidence states of an effect, in the words of the poses.
-
-    parameters: with their standard deviations; prior: the same before the recording, about no effect; log_prior: logarithm of the effect's
-    prior probability next to the others of the set. Without a prior (older files) the joint odds are understated.
-    """
-
-    parameters: Parameters = field(default_factory=dict)
-    prior: Parameters = field(default_factory=dict)
-    log_prior: float = 0.0
-
-
-@dataclass(frozen=True)
-class EvidenceSets:
-    """The sets of one evidence: log posterior odds, and what is stated of each effect (``name:location``). log_mass: logarithm of the most
-    that the prior probabilities of its sets can add up to. given: effects of which the evidence has taken what others state as its prior.
-    """
-
-    log_odds: tuple[float, ...]
-    effects: tuple[Mapping[str, StatedEffect], ...]
-    log_mass: float = 0.0
-    given: frozenset[str] = frozenset()
-
-    @property
-    def most_probable(self) -> list[int]:
-        """Indices of the most probable sets, and of the empty one, against which an effect is shown."""
-        best = np.argsort(self.log_odds)[::-1].tolist()
-        return [i for rank, i in enumerate(best) if rank < MOST_SETS or not self.effects[i]]
-
-    @property
-    def known(self) -> frozenset[str]:
-        """The effects that were compared."""
-        return frozenset(label for one in self.effects for label in one)
 
 
 @dataclass(frozen=True)
@@ -105,27 +69,61 @@ class JointEvidence:
         return self.sets[0].effects if self.significant and self.sets else ()
 
 
-def joint_evidence(evidences: Sequence[EvidenceSets]) -> JointEvidence:
-    """All consistent joint sets; none if the evidences share no consistent one."""
-    known = [one.known for one in evidences]
-    given = frozenset().union(*(one.given for one in evidences))
+def joint_evidence(evidences: Sequence[EvidenceSummary], given: Collection[str] = ()) -> JointEvidence:
+    """All consistent joint sets; none if the evidences share no consistent one.
+
+    evidences: with parameters in the words of the poses. given: effects of which one evidence has taken what others state as its prior.
+    """
+    each = [[by_label(one) for one in evidence.sets] for evidence in evidences]
+    known = [frozenset(label for one in sets for label in one) for sets in each]
     shared = {label for i, one in enumerate(known) for label in one if any(label in other for other in known[:i])}
-    chosen = [one.most_probable for one in evidences]
     found: dict[frozenset[str], float] = {}
-    for picks in product(*chosen):
-        sets = [one.effects[i] for one, i in zip(evidences, picks, strict=True)]
+    for picks in product(*map(_most_probable, evidences)):
+        sets = [some[i] for some, i in zip(each, picks, strict=True)]
         if any(len({label in s for s, k in zip(sets, known, strict=True) if label in k}) > 1 for label in shared):
             continue
-        log = sum(one.log_odds[i] for one, i in zip(evidences, picks, strict=True))
-        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in sorted(shared - given))
+        log = sum(one.sets[i].log_odds for one, i in zip(evidences, picks, strict=True))
+        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in sorted(shared.difference(given)))
         labels = frozenset(label for s in sets for label in s)
         found[labels] = float(np.logaddexp(found.get(labels, -np.inf), log))
     best = max(found.values(), default=0.0)
     ranked = sorted(found.items(), key=lambda item: -item[1])
     some = [log for labels, log in ranked if labels]
     log_e = float(np.logaddexp.reduce(some)) - found.get(frozenset(), np.inf) if some else -np.inf
-    log_e -= sum(one.log_mass for one in evidences)
+    log_e -= sum(map(_log_prior_mass, evidences))
     return JointEvidence(tuple(JointSet(tuple(sorted(labels)), log - best) for labels, log in ranked), log_e)
+
+
+def by_label(one: ComparedSet) -> dict[str, ComparedEffect]:
+    """What a set states of each effect; several forms of one effect are one."""
+    out: dict[str, ComparedEffect] = {}
+    for effect in one.effects:
+        before = out.get(effect.label)
+        if before is not None:
+            parameters, prior = {**before.parameters, **effect.parameters}, {**before.prior, **effect.prior}
+            effect = replace(effect, parameters=parameters, prior=prior, log_prior=_log_prior(before) + _log_prior(effect))
+        out[effect.label] = effect
+    return out
+
+
+def _log_prior(effect: ComparedEffect) -> float:
+    """Log prior probability of an effect next to the others of its set; without one (older files) the joint odds are understated."""
+    return effect.log_prior or 0.0
+
+
+def _most_probable(evidence: EvidenceSummary) -> list[int]:
+    """Indices of the most probable sets, and of the empty one, against which an effect is shown."""
+    best = np.argsort([one.log_odds for one in evidence.sets])[::-1].tolist()
+    return [i for rank, i in enumerate(best) if rank < MOST_SETS or not evidence.sets[i].effects]
+
+
+def _log_prior_mass(evidence: EvidenceSummary) -> float:
+    """Log of the most that the prior probabilities of the sets can add up to, by which the e-value of an evidence is divided."""
+    log_odds = np.array([one.log_odds for one in evidence.sets])
+    some = np.array([bool(one.effects) for one in evidence.sets])
+    if not some.any() or some.all() or not np.isfinite(evidence.log_e_value):
+        return 0.0
+    return max(float(np.logaddexp.reduce(log_odds[some]) - log_odds[~some].max()) - evidence.log_e_value, 0.0)
 
 
 def log_odds_of(label: str, sets: Iterable[tuple[Collection[str], float]]) -> float:
@@ -140,14 +138,14 @@ def log_odds_of(label: str, sets: Iterable[tuple[Collection[str], float]]) -> fl
     return float(np.clip(with_it - without, -OPTIONS.reach, OPTIONS.reach))
 
 
-def log_of_one(stated: Sequence[StatedEffect]) -> float:
+def log_of_one(stated: Sequence[ComparedEffect]) -> float:
     """By how much the log posterior of an effect that several evidences state changes when it is one effect with one set of parameters.
 
     The parameters that both state are compared as if they were independent, those of further evidences with those of the first.
     """
     total = 0.0
     for other in stated[1:]:
-        total -= other.log_prior
+        total -= _log_prior(other)
         for key, mine, theirs in paired(stated[0].parameters, other.parameters):
             components = len(mine.components[0])
             priors = [one for one in (prior_of(evidence, key, components) for evidence in (stated[0], other)) if one is not None]
@@ -155,7 +153,7 @@ def log_of_one(stated: Sequence[StatedEffect]) -> float:
     return total
 
 
-def prior_of(stated: StatedEffect, key: str, components: int) -> ParameterEstimate | None:
+def prior_of(stated: ComparedEffect, key: str, components: int) -> ParameterEstimate | None:
     """A parameter before the recording; what it is without the effect may not be a number."""
     prior = stated.prior.get(key)
     values, stds = ((), ()) if prior is None else prior.components

@@ -19,7 +19,6 @@ import numpy as np
 
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
-from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
@@ -198,3 +197,16 @@ def _compared(model: MotionModel, member: Member, masses: np.ndarray, selected: 
     log_factor = posterior.log_bayes_factor(ids, member.candidate.positive)
     odds = float(np.exp(np.clip(-log_factor if selected else log_factor, -700.0, 700.0)))
     return odds, canonical_correlation(posterior.V, posterior.at(ids), posterior.at(masses))
+
+
+def canonical_correlation(spread: np.ndarray, own: list[int], other: list[int]) -> float:
+    """Largest canonical correlation between two sets of coefficients with covariance ``spread``."""
+    one, two = (_whitener(spread[np.ix_(at, at)]) for at in (own, other))
+    return float(np.clip(np.linalg.svd(one @ spread[np.ix_(own, other)] @ two.T, compute_uv=False)[0], 0.0, 1.0))
+
+
+def _whitener(v: np.ndarray) -> np.ndarray:
+    d = 1.0 / np.sqrt(np.maximum(np.diag(v), 1e-300))
+    values, vectors = np.linalg.eigh(v * np.outer(d, d))
+    good = values > 1e-8
+    return (vectors[:, good] / np.sqrt(values[good])).T * d

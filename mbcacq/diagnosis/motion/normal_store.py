@@ -91,6 +91,15 @@ Factor = tuple[np.ndarray, bool]
 LEAST_SQUARE = 1e-200
 
 
+def weighted_sum(numbers: Sequence[np.ndarray], products: Sequence[np.ndarray], weights: np.ndarray, count: int) -> np.ndarray:
+    """(P + 1, P + 1) sum over the joints of the products of their columns, which are numbered so, of P columns, mismatch last."""
+    out = np.zeros((count + 1, count + 1))
+    for own, product, weight in zip(numbers, products, weights, strict=True):
+        at = np.where(own == MISMATCH, count, own)
+        out[np.ix_(at, at)] += weight * product
+    return out
+
+
 class NormalStore:
     """Columns by number. The offset of a joint is its first column after the mismatch.
 
@@ -215,13 +224,9 @@ class NormalStore:
 
     def normal(self, weights: np.ndarray, without: int | None = None) -> np.ndarray:
         """(P + 1, P + 1) weighted normal matrix of all columns, mismatch last; without: a fold left out."""
-        P = len(self.prior)
-        N = np.zeros((P + 1, P + 1))
-        for j, numbers in enumerate(self.numbers):
-            at = np.where(numbers == MISMATCH, P, numbers)
-            total, folds = self._sum(j)
-            N[np.ix_(at, at)] += weights[j] * (total if without is None else total - folds[without])
-        return N
+        sums = map(self._sum, range(len(self.numbers)))
+        each = [total if without is None else total - folds[without] for total, folds in sums]
+        return weighted_sum(self.numbers, each, weights, len(self.prior))
 
     def total(self, j: int) -> np.ndarray:
         """(c, c) products of the columns of a joint over all segments, mismatch first."""

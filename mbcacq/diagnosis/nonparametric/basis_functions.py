@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -200,7 +201,7 @@ def of_poses(basis: Basis) -> list[Shape]:
     out += basis.shapes(f"gravity_torque_{s.n}", [linear(f"gravity_direction_{s.n}_{axis}") for axis in XYZ])
     if obs.direction is not None:
         out += [shape for i in range(s.n) for shape in directions(basis, i)]
-    out += [shape for name in in_time(s) for shape in basis.smooth(name, name)]
+    out += [shape for name in in_time(s) for shape in basis.smooth(name, name)] + history(basis)
     for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
         if values is not None:
             out += [shape for i in range(s.n) for shape in basis.shapes(f"{name}{i + 1}", [linear(f"{name}{i + 1}")])]
@@ -208,7 +209,7 @@ def of_poses(basis: Basis) -> list[Shape]:
 
 
 def at_location(basis: Basis, location: Location, angles: list[Shape]) -> list[Shape]:
-    """More at a joint, a link, the base or the mount. angles: what sets in, at a joint, at some angle of any joint."""
+    """More at a joint, a link, the base or the mount. angles: functions of one or two angles that are tried at joints."""
     s = basis.here
     out, is_joint = list[Shape](), len(location.mix) == 1
     for frame in {location.frame, max(location.frame - (not is_joint), 0)}:
@@ -220,6 +221,26 @@ def at_location(basis: Basis, location: Location, angles: list[Shape]) -> list[S
         torque = s.gravity_torque[:, location.joint]
         loaded = np.ptp(torque) > OPTIONS.varies * np.ptp(s.gravity_torque, axis=0).max() + 1e-9
         out += angles + (basis.thresholds(f"gravity_torque_{location.joint + 1}") if loaded else [])
+    return out
+
+
+def history(basis: Basis) -> list[Shape]:
+    """What came before a pose: whether it is the first at a station, how far within the visit it is, how long ago the last pause was."""
+    out = basis.shapes("visit", [of("visit", "decay", poses) for poses in OPTIONS.visits], 1)
+    if clock(basis.here) != "time":
+        return out
+    return out + basis.shapes("pause", [of("since_pause", "decay", seconds) for seconds in OPTIONS.settles_s], 1)
+
+
+def pairs(basis: Basis) -> list[Shape]:
+    """Functions of two angles: of their sum, of their difference, and products of up to two periods a turn."""
+    out = list[Shape]()
+    for a, b in combinations([f"q{i + 1}" for i in turning(basis.here)], 2):
+        (sa, ca, *_), (sb, cb, *_) = first, second = harmonics(a, 1, 2), harmonics(b, 1, 2)
+        same, opposite = (times(sa, cb), times(ca, sb)), (times(ca, cb), times(sa, sb))
+        for sign in (1.0, -1.0):
+            out += basis.shapes(a, [(*same[0], *scaled(same[1], sign)), (*opposite[0], *scaled(opposite[1], -sign))])
+        out += basis.shapes(a, [times(x, y) for x in first for y in second])
     return out
 
 

@@ -23,7 +23,7 @@ from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
+from mbcacq.estimation.random_effect_sizes import consecutive, joined, sizes_by_marginal_likelihood
 from mbcacq.estimation.terms import Part, at_poses
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
 from mbcacq.estimation.whitened_columns import ColumnProducts, Posterior, WhitenedColumns, root_of
@@ -73,7 +73,7 @@ class RandomEffectsModel:
 
     def slices(self) -> list[slice]:
         """Which coefficients belong to which group."""
-        return slices_of(self.groups)
+        return coefficients_of(self.groups)
 
     def displacement(self, linear: LinearProblem) -> np.ndarray:
         """(M, R) by all groups."""
@@ -81,9 +81,9 @@ class RandomEffectsModel:
         return sum((linear.displacement(g.parts, self.coefficients[p]) for g, p in each), np.zeros_like(linear.residual))
 
 
-def slices_of(groups: Sequence[RandomEffect]) -> list[slice]:
-    ends = np.cumsum([0] + [len(g.sigma) for g in groups])
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+def coefficients_of(groups: Sequence[RandomEffect]) -> list[slice]:
+    """Which coefficients belong to which group."""
+    return list(consecutive(len(g.sigma) for g in groups))
 
 
 class JointModel:
@@ -97,7 +97,7 @@ class JointModel:
         self.known, sigma = columns_of(linear, model)
         first = len(sigma) - sum(m.candidate.k for m in model.members)
         self.effects = [slice(first + p.start, first + p.stop) for p in model.slices()]
-        self.groups = [slice(len(sigma) + p.start, len(sigma) + p.stop) for p in slices_of(self.random)]
+        self.groups = [slice(len(sigma) + p.start, len(sigma) + p.stop) for p in coefficients_of(self.random)]
         self.sigma = np.concatenate([sigma, *(g.sigma for g in self.random)])
         self.geometry = np.arange(first)
 
@@ -165,7 +165,7 @@ class JointModel:
             half = solve_triangular(root, b[own], lower=True)
             return 0.5 * float(half @ half) - float(np.log(np.diag(root)).sum())
 
-        return log_factor(slice(0, len(b))), np.array([log_factor(own) for own in slices_of(self.random)])
+        return log_factor(slice(0, len(b))), np.array([log_factor(own) for own in coefficients_of(self.random)])
 
     def group_sizes(self, start: np.ndarray) -> np.ndarray:
         """(G,) size of each group, in units of its sigma, by which the centres are most probable; zero where the data do not ask for it.
@@ -173,7 +173,7 @@ class JointModel:
         """
         known = self.index(range(len(self.effects)), ())
         limits = unmodelled.OPTIONS.smallest, unmodelled.OPTIONS.largest
-        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, unmodelled.OPTIONS.ending)
+        return sizes_by_marginal_likelihood(*self.beyond(known), coefficients_of(self.random), start, limits, unmodelled.OPTIONS.ending)
 
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:

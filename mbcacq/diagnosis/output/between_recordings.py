@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import Member

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
+from mbcacq.diagnosis.output.next_measurements import Elsewhere
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 
@@ -40,7 +41,7 @@ class Compensation:
         elsewhere = LinearProblem.of(there.linear.obs, there.linear.state, layout=problem.linear.layout)
         return cls(problem, there, Z, Z.T @ Z + np.eye(len(sigma)), elsewhere.geometry * elsewhere.sigma)
 
-    def displacement(self, effect: SizedEffect, beside: Beside) -> np.ndarray | None:
+    def displacement(self, effect: Member, beside: Beside) -> np.ndarray | None:
         """(P, 3) mm: what is left elsewhere of an effect of the recording; None where it cannot be built there."""
         moved = self.there.displacement(effect)
         if moved is None:
@@ -52,7 +53,7 @@ class Compensation:
         moved = moved + self.geometry[:, :3] @ taken[end - g : end]
         for other, value in beside:
             first, end = end, end + other.k
-            also = self.there.displacement(SizedEffect(other, value, largest(other) * taken[first:end]))
+            also = self.there.displacement(Member(other, value, coefficients=largest(other) * taken[first:end]))
             moved = moved if also is None else moved + also
         return moved
 

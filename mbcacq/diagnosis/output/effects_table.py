@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
-from mbcacq.diagnosis.fitted_model import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import EffectSet

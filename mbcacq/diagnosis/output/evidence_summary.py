@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
-from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, stands_for_untried
+from mbcacq.diagnosis.evidence.evidence_fit import stands_for_untried
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import relative_odds, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
@@ -30,26 +29,22 @@ def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     def untried(hypothesis: Hypothesis) -> set[str]:
         return {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
 
-    return summary_of(fit, coefficients, untried, fit.linear.obs.n_poses, tuple(untried_in_words(problem, fit)))
+    return summary_of(fit, untried, fit.linear.obs.n_poses, tuple(untried_in_words(problem, fit)))
 
 
 def summary_of(
-    sets: RankedSets,
-    solved: Callable[[Hypothesis], EffectSet],
-    untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(),
-    poses: int = 0,
-    sentences: tuple[str, ...] = (),
+    sets: EvidenceFit, untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(), poses: int = 0, sentences: tuple[str, ...] = ()
 ) -> EvidenceSummary:
-    """The sets that are near the most probable one, and the empty one. solved: the coefficients of a set; untried: keys of the effects in
+    """The sets that are near the most probable one, and the empty one. untried: keys of the effects in
     it that stand for what was not tried.
     """
     best = sets.hypotheses[0].log_posterior
     each = [widened(h) for h in shown(sets)]
-    compared = tuple(ComparedSet(effects_of(sets, h, solved(h), untried(h)), float(h.log_posterior - best)) for h in each)
+    compared = tuple(ComparedSet(effects_of(sets, h, h.solved, untried(h)), float(h.log_posterior - best)) for h in each)
     return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, sentences)
 
 
-def shown(sets: RankedSets) -> list[Hypothesis]:
+def shown(sets: EvidenceFit) -> list[Hypothesis]:
     """The sets that are near the most probable one, and the empty one."""
     best = sets.hypotheses[0].log_posterior
     return [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
@@ -67,7 +62,7 @@ def widened(hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, members=members)
 
 
-def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
+def effects_of(sets: EvidenceFit, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
     each = zip(hypothesis.members, solved.slices(), strict=True)
     return tuple(
@@ -76,7 +71,7 @@ def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untr
     )
 
 
-def compared_effect(sets: RankedSets, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool) -> ComparedEffect:
+def compared_effect(sets: EvidenceFit, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool) -> ComparedEffect:
     """An effect of a set, whose coefficients are c (k,) with covariance v (k, k)."""
     candidate, before = member.candidate, np.diag((member.size * member.candidate.typical) ** 2)
     with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number

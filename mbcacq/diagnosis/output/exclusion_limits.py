@@ -20,10 +20,10 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import NOT_SIZES
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.compensation import Compensation, largest
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, errors_of, harmless
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, errors_of, harmless
 from mbcacq.diagnosis.output.sufficient_poses import ABSORBED, of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import LimitBand, alike, bands, directions, independent_values, kept, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
@@ -49,9 +49,9 @@ class BandLimit:
     in_usual_sizes: float
 
     @property
-    def sized(self) -> SizedEffect:
+    def sized(self) -> Member:
         """The effect as large as the limit."""
-        return SizedEffect(self.candidate, self.hyper, self.coefficients)
+        return Member(self.candidate, self.hyper, coefficients=self.coefficients)
 
 
 def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:

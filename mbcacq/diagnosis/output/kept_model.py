@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
@@ -66,7 +65,7 @@ def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:
 
 def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTerm]:
     """The unmodelled effects of a hypothesis."""
-    found, out = coefficients_of(hypothesis), list[EffectTerm]()
+    found, out = hypothesis.solved, list[EffectTerm]()
     for m, own in zip(hypothesis.members, found.slices(), strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))

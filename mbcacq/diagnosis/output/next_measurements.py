@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.findings import Advice
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
@@ -20,29 +21,7 @@ from mbcacq.model.observations import Observations
 TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives
 
 
-@dataclass(frozen=True)
-class SizedEffect:
-    """An effect with the value of its hyper-parameter and its coefficients (k,), inf where the geometry absorbs it."""
-
-    candidate: Candidate
-    hyper: float | None
-    coefficients: np.ndarray
-
-    @property
-    def label(self) -> str:
-        """``name:where`` as in the JSON object."""
-        return self.candidate.label
-
-    @property
-    def in_typical_sizes(self) -> float:
-        """The largest coefficient, relative to its typical size."""
-        return float((self.coefficients / self.candidate.typical).max())
-
-
-SizedEffects = tuple[SizedEffect, ...]  # that describe something together
-
-
-def in_words(effects: SizedEffects) -> str:
+def in_words(effects: Sequence[Member]) -> str:
     """Names and locations; those of one name together."""
     where: dict[str, list[str]] = {}
     for e in effects:
@@ -61,12 +40,12 @@ class Elsewhere:
     def candidates(self) -> dict[str, Candidate]:
         return {candidate.key: candidate for candidate in catalogue.candidates(self.context)[0]}
 
-    def displacement(self, effect: SizedEffect) -> np.ndarray | None:
+    def displacement(self, effect: Member) -> np.ndarray | None:
         """(P, 3) mm: what an effect of the recording would do at these postures; None where it cannot be built there."""
         candidate = self.candidates.get(effect.candidate.key)
         return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
 
-    def displacement_together(self, effects: SizedEffects) -> np.ndarray | None:
+    def displacement_together(self, effects: Sequence[Member]) -> np.ndarray | None:
         """The same of several effects together; None where one of them cannot be built."""
         each = [moved for e in effects if (moved := self.displacement(e)) is not None]
         return np.sum(each, axis=0) if len(each) == len(effects) else None
@@ -110,7 +89,7 @@ def _at(context: Context, q: np.ndarray, station: np.ndarray, direction: np.ndar
     return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
-def separating(context: Context, pairs: Sequence[tuple[SizedEffects, SizedEffects]]) -> list[Advice]:
+def separating(context: Context, pairs: Sequence[tuple[Sequence[Member], Sequence[Member]]]) -> list[Advice]:
     """One piece of advice for each pair of descriptions that the recording cannot tell apart, where there is one: measured postures, for
     nothing is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
     """
@@ -132,7 +111,7 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffects, SizedEffect
     return out
 
 
-def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
+def revealing(context: Context, limited: Sequence[Member]) -> list[Advice]:
     """Measured postures that show one effect. It is the effect that does most at its typical size, among those that are not excluded at
     that size. limited: each as large as the recording does not exclude it.
     """
@@ -169,13 +148,13 @@ def _in_degrees(q: np.ndarray) -> tuple[tuple[float, ...], ...]:
 ROUNDED = 1e-10  # share of an effect's displacement below which what is left of it is rounding
 
 
-def harmless(there: Elsewhere, effect: SizedEffect) -> bool:
+def harmless(there: Elsewhere, effect: Member) -> bool:
     """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
     workspace, length = errors_elsewhere(there, replace(effect, coefficients=effect.candidate.typical))
     return workspace is not None and length is not None and length < ROUNDED * workspace
 
 
-def errors_elsewhere(there: Elsewhere, effect: SizedEffect) -> tuple[float | None, float | None]:
+def errors_elsewhere(there: Elsewhere, effect: Member) -> tuple[float | None, float | None]:
     """Largest displacement (mm) over postures in the workspace, and the error of lengths between pairs of them that 95 % do not exceed.
 
     None for what the geometry absorbs, for effects over time, which no posture has, and for single balls or stations.

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -87,7 +87,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     ]
 
 
-def other_covariates(fit: RankedSets, reported: Hypothesis) -> list[str]:
+def other_covariates(fit: EvidenceFit, reported: Hypothesis) -> list[str]:
     """One sentence for each reported effect that depends on another recorded quantity about as probably (two thermometers, say)."""
     own = {m.label: m.candidate.depends_on for m in reported.catalogued}
     found: dict[tuple[str, str], float] = {}

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain, PossibleOrder
 from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART, OrderPeak, other_peaks, resolution_of
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.validation.found_again import jackknife
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.quantities import K

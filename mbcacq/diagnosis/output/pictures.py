@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import MismatchEntry
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem

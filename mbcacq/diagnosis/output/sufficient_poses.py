@@ -12,11 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, harmless
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, harmless
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.variance_components import first_noise
 
@@ -27,7 +28,7 @@ ROUNDED = 1e-10  # share of an effect's information, or displacement, below whic
 ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
 
 
-def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[SizedEffect]:
+def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[Member]:
     """Every candidate that was not found, at its limit, but for those that the geometry absorbs and that change no length."""
     found = {m.candidate.location for m in full.model.members}
     stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
@@ -36,7 +37,7 @@ def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -
     return [e for e in limited if np.isfinite(e.in_typical_sizes) or not harmless(there, e)]
 
 
-def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:
+def says_too_little(limited: Sequence[Member], poses: int) -> str | None:
     """A sentence where a recording of so many poses excludes too little for a verdict ``none``."""
     share = excluded_share(limited)
     if share >= ENOUGH:
@@ -48,12 +49,12 @@ def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:
     return f"{said}: {enough:.0f} poses like these, instead of {poses}, would exclude half of them"
 
 
-def excluded_share(limited: Sequence[SizedEffect]) -> float:
+def excluded_share(limited: Sequence[Member]) -> float:
     """Share of the effects whose exclusion limit is below their typical size; 1 where there is none."""
     return sum(w for w, e in zip(weights(limited), limited, strict=True) if e.in_typical_sizes <= 1.0) if limited else 1.0
 
 
-def sufficient_poses(limited: Sequence[SizedEffect], poses: int) -> float:
+def sufficient_poses(limited: Sequence[Member], poses: int) -> float:
     """Number of poses like the ``poses`` of the recording at which enough effects would be excluded; inf where no number is enough.
 
     Limits fall with 1 / sqrt(number of poses) where each further pose repeats one of the recording, and faster where it does not.
@@ -64,7 +65,7 @@ def sufficient_poses(limited: Sequence[SizedEffect], poses: int) -> float:
     return float(np.ceil(poses * max(sizes[last], 1.0) ** 2))
 
 
-def weights(limited: Sequence[SizedEffect]) -> np.ndarray:
+def weights(limited: Sequence[Member]) -> np.ndarray:
     """(E,) of each effect, of sum one: every kind counts alike, every location of a kind too, as in their prior probability."""
     locations = Counter(e.candidate.name for e in limited)
     return np.array([1.0 / (len(locations) * locations[e.candidate.name]) for e in limited])
@@ -78,7 +79,7 @@ def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in candidates if c.k == fewest[c.name, c.where]]
 
 
-def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> SizedEffect:
+def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> Member:
     """The largest coefficient that is not excluded, in typical sizes; all of them inf where the geometry absorbs one. stated: the problem
     under the noise as stated, by which the value of the hyper-parameter is chosen.
     """
@@ -86,7 +87,7 @@ def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, state
     estimate, std = estimated(conditioned, candidate, hyper)
     limits = (np.maximum(estimate, -std) if candidate.positive else np.abs(estimate)) + QUANTILE * std
     worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
-    return SizedEffect(candidate, hyper, np.where(worst | ~np.isfinite(std), limits, 0.0))
+    return Member(candidate, hyper, coefficients=np.where(worst | ~np.isfinite(std), limits, 0.0))
 
 
 def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.random_effect_sizes import consecutive
 
-NO_COLUMNS = np.zeros(0, dtype=int)
+NO_COLUMNS, NO_COEFFICIENTS = np.zeros(0, dtype=int), np.zeros(0)
 
 
 def possible_sizes(least: float) -> tuple[float, ...]:
@@ -24,7 +25,7 @@ class Member:
 
     sizes: of its coefficients that are possible, in typical ones (those of the candidate, unless given); size: the most probable; log_mass:
     log of the average over the hyper-parameter, relative to this value. columns: (k,) their numbers among those of a motion; none of an
-    effect of poses.
+    effect of poses. coefficients: (k,) where they are known, inf where the geometry absorbs the effect.
     """
 
     candidate: Candidate
@@ -33,6 +34,7 @@ class Member:
     sizes: tuple[float, ...] = ()
     size: float = 1.0
     columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
+    coefficients: np.ndarray = field(default_factory=lambda: NO_COEFFICIENTS, compare=False)
 
     def __post_init__(self) -> None:
         if not self.sizes:
@@ -45,7 +47,14 @@ class Member:
 
     @property
     def key(self) -> tuple[str, float]:
-        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
+        """Identifies it in a set, in which hyper-parameters that round alike are one."""
+        digits, value = self.candidate.rows.hyper_digits, self.hyper or 0.0
+        return self.candidate.key, value if digits is None else round(value, digits)
+
+    @property
+    def in_typical_sizes(self) -> float:
+        """The largest coefficient, relative to its typical size."""
+        return float((self.coefficients / self.candidate.typical).max())
 
     @property
     def value(self) -> float:
@@ -54,10 +63,14 @@ class Member:
         return self.hyper
 
 
+def prior_sigma(members: Sequence[Member]) -> np.ndarray:
+    """(k,) prior standard deviation of each coefficient, at the most probable size of its effect."""
+    return np.concatenate([np.zeros(0), *(m.size * m.candidate.typical for m in members)])
+
+
 def slices_of(members: Sequence[Member]) -> tuple[slice, ...]:
     """Which coefficients belong to which effect."""
-    ends = np.cumsum([0] + [m.candidate.k for m in members])
-    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    return consecutive(m.candidate.k for m in members)
 
 
 @dataclass(frozen=True)
@@ -80,6 +93,26 @@ class EffectSet:
     def slices(self) -> tuple[slice, ...]:
         """Which coefficients belong to which effect."""
         return slices_of(self.members)
+
+    def part(self, chosen: Callable[[Member], bool]) -> EffectSet:
+        """Some of the effects, without the gain, which is of all."""
+        own = [(m, p) for m, p in zip(self.members, self.slices(), strict=True) if chosen(m)]
+        index = np.concatenate([np.zeros(0, int), *(np.arange(p.start, p.stop) for _, p in own)])
+        return EffectSet(tuple(m for m, _ in own), self.coefficients[index], self.covariance[np.ix_(index, index)])
+
+    @property
+    def with_coefficients(self) -> tuple[Member, ...]:
+        """The effects, each with its coefficients."""
+        return tuple(replace(m, coefficients=self.coefficients[p]) for m, p in zip(self.members, self.slices(), strict=True))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(m.label for m in self.members)
+
+    @property
+    def std(self) -> np.ndarray:
+        """(k,) standard deviation of each coefficient."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def names(self) -> tuple[str, ...]:

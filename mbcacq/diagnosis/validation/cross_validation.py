@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.executor import WorkerPool
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.folds import RepeatedSearch, evaluated_folds

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.executor import WorkerPool
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.model_fit import PartModel, fit_part, groups_everywhere
+from mbcacq.diagnosis.model_fit import ModelFit, PartModel, fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem

@@ -9,8 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.between_sets import by_effect, difference, like, orders_matched
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.model_fit import PartModel
+from mbcacq.diagnosis.model_fit import ModelFit, PartModel
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN

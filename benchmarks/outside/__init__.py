@@ -1,0 +1,1 @@
+"""Cells with physics that no effect of the catalogue describes."""
