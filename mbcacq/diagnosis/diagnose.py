@@ -21,7 +21,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.validation.found_again import repetitions
-from mbcacq.diagnosis.verdict import conclude, judge
+from mbcacq.diagnosis.verdict import conclude
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -113,7 +113,7 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     repeated = repetitions(full, halves or again)
 
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, judge(problem, full, validation, repeated)), model=kept or None)
+    result = replace(conclude(problem, full, validation, repeated), model=kept or None)
     if asked.formulas:
         proposals, tried = propose(problem, full, result.effects, asked.progress)
         result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
