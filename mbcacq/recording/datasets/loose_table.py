@@ -34,6 +34,7 @@ LEAST_POSES = 4
 NO_FIT_MM, NO_FIT = 1.0, 0.5  # residual, and its share of that of rows paired at random, from which no reading fits
 SHUFFLES = 5
 MOST_DOUBTED = 4  # readings in which a simple mistake is looked for
+WRONG_ARM_MM = 15.0  # residual that no arm leaves as its maker draws it: they err by 0.5 to 5 mm
 DOUBTFUL_MM = 0.5  # residual from which a simple mistake in the table is looked for; arms are off by less
 MEASUREMENTS = {
     ARTEFACT_IN_SCANNER: "scanner on the flange (eye in hand)",
@@ -152,6 +153,11 @@ def _refuse_unfitting(alike: Sequence[Observations], best_mm: float, table: Tabl
         return
     if mistake := next(filter(None, map(misdescribed, alike)), ""):
         raise ConfigError(f"{table.path}: {mistake}; correct the table, or say how it is meant")
+    if best_mm > WRONG_ARM_MM and joint_columns(table) and not obs.cell.robot.of_flange_poses:
+        raise ConfigError(
+            f"{table.path}: with {obs.cell.robot.name} the joint angles fit the measurements within {best_mm:.3g} mm only, where an arm "
+            "errs by a few: check that it is this arm (--robot), and the units and directions of its angles"
+        )
     rng = np.random.default_rng(0)
     paired_at_random = [_misfit(replace(obs, q=obs.q[rng.permutation(obs.n_poses)])) for _ in range(SHUFFLES)]
     if best_mm > max(NO_FIT_MM, NO_FIT * float(np.median(paired_at_random))):
