@@ -28,7 +28,7 @@ class NoSuchRobot(Exception):
 @dataclass
 class RobotNodes:
     """names: browse names of the axes; units: of each, 'deg', 'rad' or what the server states instead, '' where it states none; about: what
-    it says of itself; safety: nodes of emergency and protective stop, by name; watched: those of model, serial number and payload, as far as
+    it says of itself; safety: nodes of emergency and protective stop, by name; watched: model, serial number and payload, as far as
     it has them."""
 
     names: tuple[str, ...]
