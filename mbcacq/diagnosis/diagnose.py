@@ -103,9 +103,10 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     validation = validated(full, again, asked.progress)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)
+    parts = repetitions(full, halves)
 
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, full, validation, repetitions(full, halves)), model=kept or None)
+    result = replace(conclude(problem, full, validation, parts), model=kept or None)
     if asked.formulas:
         proposals, tried = propose(problem, full, result.effects, asked.progress)
         result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
