@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence
+from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
 from mbcacq.estimation.options import copies
