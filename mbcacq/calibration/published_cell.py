@@ -14,16 +14,13 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence
+from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.estimation import parameters
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
-from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise, copies
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
+from mbcacq.estimation.options import copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
-from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
@@ -96,31 +93,15 @@ def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
     result : CalibratedCell
         With link errors as random effects (``CalibrationOptions(kinematics=False)``), and with its adjustment.
     """
-    lineariser = result.adjustment.lineariser
+    lineariser, state = result.adjustment.lineariser, replace(result.state, chain=result.nominal)
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
-    state = _replaced(replace(result.state, chain=result.nominal), lineariser, result)
+    if lineariser.obs.cell.measurement == ARTEFACT_IN_SCANNER:  # artefacts stand where the nominal arm sees them; an instrument is a result
+        state = solve(as_it_is(lineariser.obs, state, lineariser.options.displaced), weights=result.fit.weights).estimate.state
     residual = lineariser.evaluate(Estimate(state, result.fit.coefficients)).residual
     covariance = result.covariance + np.outer(left_out, left_out)
     return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))
-
-
-def _replaced(state: CellState, lineariser: Lineariser, result: CalibratedCell) -> CellState:
-    """The state with the places of the artefacts as the nominal arm sees them. The place of an instrument is a result itself, and stays."""
-    if lineariser.obs.cell.measurement != ARTEFACT_IN_SCANNER:
-        return state
-    hold = tuple(f"{name}.{c}" for name in _mounts(result) for c in HAND_EYE)
-    options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=lineariser.options.displaced)
-    layout = parameters.build(lineariser.obs, options)
-    noise = Noise(np.ones(3), np.full(result.nominal.n, 1e-12), 1e-2)
-    at = system(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.fit.weights)
-    return solve(at).estimate.state
-
-
-def _mounts(result: CalibratedCell) -> list[str]:
-    """Names of the hand-eye transforms: one, or one for each of several recordings."""
-    return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in result.layout.blocks[1].names))
 
 
 def with_estimates(model: EffectModel, fitted: CalibratedCell) -> EffectModel:

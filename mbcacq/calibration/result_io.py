@@ -34,6 +34,11 @@ from mbcacq.quantities import K, pair, symbol, uncertainty
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
 
 
+def of_flange_poses(result: Mapping[str, Any]) -> bool:
+    """Whether the cell of a result is known by the poses of its flange alone: it has no joints, links, limits, effects or kinematics."""
+    return bool(result.get("robot", {}).get("flange_poses", False))
+
+
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
     """The effects of a result; None where it is geometry alone. Raises ConfigError where they are damaged."""
     return EffectModel.from_dict(result["effects"]) if result.get("effects") else None

@@ -118,7 +118,7 @@ def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.nda
         by_station[block.place.stations] += score.by_station
     # The images' products with what was estimated, of unit variance.
     flat = (np.swapaxes(normal.station_root, 1, 2) @ by_station).reshape(-1, k)
-    estimated = root @ (by_parameter - normal.reduced.reshape(-1, normal.size).T @ flat)
+    estimated = root @ (by_parameter - normal.reduced.reshape(6 * S, normal.size).T @ flat)
     score = np.concatenate([by_axis[:3], by_joint, [by_axis[3:].sum()]])
     return score, 2 * (square - estimated.T @ estimated - flat.T @ flat)
 
@@ -161,7 +161,7 @@ class _BlockScore:
         own = [by_image, flat_product(block.own_twist, np.swapaxes(block.K @ Jt * b[..., None], 1, 2))]
         twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
         self.by_parameter = np.concatenate([flat_product(block.columns.twists, twist), own])
-        self.by_station = block.place.runs.products(block.columns.station, twist)
+        self.by_station = block.place.products(block.columns.station, twist)
 
 
 class _BlockVariance:
@@ -171,7 +171,7 @@ class _BlockVariance:
     def __init__(self, block: PoseBlock, normal: Normal, root: np.ndarray):
         self.block, columns = block, block.columns
         f = normal.size - columns.own.size
-        stations, runs = block.place.stations, block.place.runs
+        stations, runs = block.place.stations, block.place
         y = runs.times(columns.station, normal.station_root[stations])
         x = runs.times(y, -normal.reduced[stations])
         x[..., :f] += columns.twists
@@ -202,6 +202,8 @@ class _BlockVariance:
 
 def times_upper(x: np.ndarray, root: np.ndarray) -> np.ndarray:
     """x (P, u, g) times the transpose of a lower triangular matrix (g, g): half of the work of a product with a full one."""
+    if not len(root):
+        return x
     flat = np.ascontiguousarray(x).reshape(-1, len(root))
     return dtrmm(1.0, root.T, flat.T, trans_a=1, overwrite_b=1).T.reshape(x.shape)
 

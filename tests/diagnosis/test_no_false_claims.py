@@ -19,7 +19,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import all_but, split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements
@@ -39,6 +39,16 @@ def test_clean_cells_with_outliers_are_clean(plan):
     found = model_fit.fit_model(prepare(simulated.observe(plan, 105, outliers=0.01)))
 
     assert verdict_of(found) == "none"
+
+
+def test_held_out_figures_count_the_centres_that_a_fit_rejects(plan):
+    found = diagnose(simulated.observe(plan, 105, outliers=0.02), folds=2).fit.held_out
+
+    rejected = found.centres - found.robust_centres
+    assert found.centres == plan.n_centres
+    assert 0 < rejected < 0.04 * plan.n_centres
+    assert found.before_rms_mm < 0.02  # the robust figure: noise
+    assert found.every_before_rms_mm == pytest.approx(3.0 * np.sqrt(3 * rejected / plan.n_centres), rel=0.4)
 
 
 def test_noise_is_estimated_whatever_the_cell_file_says(plan):
@@ -177,7 +187,7 @@ def test_what_does_not_predict_held_out_poses_explains_nothing(plan):
     alike = PredictiveScore(square=0.1, count=100, chi2=400.0, dof=300.0)
     useless = CrossValidation(alike, alike, "block", dict.fromkeys(fit.model.names, alike))
 
-    found = conclude(problem, judge(problem, fit, useless))
+    found = conclude(problem, fit, useless)
 
     assert [e.trend for e in found.effects] == ["held-out data are predicted as well without it"]
     assert found.verdict == "cannot_tell"
