@@ -20,6 +20,7 @@ from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
+from mbcacq.model.joint_resolution import computed_by_the_arm
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
@@ -51,7 +52,7 @@ class TableOptions:
     ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. flange_inverted, target_inverted: whether the base's pose in
     the flange stands in place of the flange's in the base, and the camera's in the target in place of the target's in the camera.
     columns: names of this program -> names in the file. robot: of joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere
-    in line profiles.
+    in line profiles. by_instrument: an instrument measured the points, though the arm's own kinematics give them to rounding.
     """
 
     flange: str | None = None
@@ -65,6 +66,7 @@ class TableOptions:
     robot: RobotModel | None = None
     noise_mm: tuple[float, float, float] | None = None
     diameter_mm: float | None = None
+    by_instrument: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,11 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
             f"{table.path}: the data fit {reading.differs(close[0])} (residual {best:.3g} mm) no better than {asked}; say which it is: "
             "--flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, and turn more "
             "between the poses next time"
+        )
+    if not options.by_instrument and (off := computed_by_the_arm(obs)) is not None:
+        raise ConfigError(
+            f"{table.path}: the points are where {obs.cell.robot.name} itself computes them from the joint angles, within {off:.3g} mm, "
+            "which is rounding: a calibration learns nothing from them; give what an instrument measured, or say --measured if one did"
         )
     said = _sentences(obs, reading, options, best, [(made[j][0], misfit) for misfit, j in others])
     return UnderstoodTable(obs, (*said, *_unused(table, reading)))
