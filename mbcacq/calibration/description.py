@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from mbcacq.calibration.description_hypotheses import Misreading, exchanged_balls, hypotheses, other_arms
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -198,7 +198,7 @@ def wrong_length(o: Observations) -> str:
         def square(s: float, axes: np.ndarray = axes) -> float:
             return residual_mm(replace(few, xyz=few.xyz * (1 + (s - 1) * axes))) ** 2
 
-        best = float(minimize_scalar(square, bounds=SCALES, method="bounded", options={"xatol": 1e-6}).x)
+        best = float(np.asarray(fminbound(square, *SCALES, xtol=1e-6)).item())
         step = SCALE_STEP
         bend = (square(best + step) - 2 * square(best) + square(best - step)) / step**2
         sigma = np.sqrt(2 * square(best) / max(few.n_centres * bend, 1e-300))
