@@ -282,6 +282,33 @@ def test_measurements_that_never_change_are_no_measurements(tmp_path):
         read_loose_table(write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat()))
 
 
+@pytest.mark.parametrize(
+    ("stretched", "words"),
+    [
+        ((1.01, 1.01, 1.01), "the measured places times {}: the pitch or size of the target, or a unit is wrong by that"),
+        ((1.0, 1.0, 1.01), "the measured places along z of the scanner times {}: the focal length or the depth scale of the camera"),
+        ((1.0, 1.0, 1.0), ""),
+    ],
+    ids=["pitch", "focal length", "right"],
+)
+def test_a_length_that_the_poses_of_the_flange_contradict_is_said_with_what_it_would_be(stretched, words, tmp_path):
+    """1 / 1.01 = 0.9901; noise of 0.1 mm and 0.3 mrad, so that the factor is known to 0.001."""
+    F, C = poses(24)
+    rng = np.random.default_rng(3)
+    C[:, :3, 3] = (C[:, :3, 3] + rng.normal(0, 0.1, (24, 3))) * stretched
+    C[:, :3, :3] = C[:, :3, :3] @ se3.rotation_exp(rng.normal(0, 3e-4, (24, 3)))
+    path = write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat())
+    said = " ".join(map(str, mbcacq.calibrate(path, ALONE).to_dict().get("warnings", ())))
+    if not words:
+        assert "A length contradicts" not in said
+        return
+    before, after = words.split("{}")
+    assert f"A length contradicts the poses of the flange: with {before}" in said
+    assert after in said
+    factor = float(said.split(" times ")[1].split(" ± ")[0])
+    assert factor == pytest.approx(1 / 1.01, abs=2e-3)
+
+
 UR10E_ROWS = (
     (180.7, 0, 90),
     (0, -612.7, 0),
