@@ -32,8 +32,8 @@ class CrossValidation:
         Where random effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then
         measured against it.
     refitted : dict[str, tuple[PredictiveScore, PredictiveScore]]
-        Of effects that no search without a part has found, scores with and without them, the effects being those of all data, and their
-        coefficients fitted without the part.
+        Scores with and without effects that no search without a part has found: effects of all data, their coefficients fitted without
+        the part.
     """
 
     before: PredictiveScore

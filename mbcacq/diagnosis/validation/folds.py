@@ -109,8 +109,8 @@ def evaluated_folds(
 ) -> tuple[list[FoldResult], Refitted]:
     """The models found without each part, evaluated on that part under the noise of the fit of all data.
 
-    keys: effects to be left out in turn. searched: gets how many of the searches have ended. Of effects that none of the searches found,
-    scores with and without them as well: the model of all data, its coefficients fitted without the part.
+    keys: effects to be left out in turn. searched: gets how many of the searches have ended. Effects that none of the searches found have
+    scores with and without them as well, of the model of all data with its coefficients fitted without the part.
     """
     problem, models = again.problem, [(found.model, found.random) for found in again.models(searched)]
     if problem.in_part:
