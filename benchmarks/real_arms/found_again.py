@@ -39,6 +39,9 @@ def found_in(content: dict) -> dict[str, dict]:
     for effect in content["effects"]:
         if effect.get("trend"):
             continue
+        if effect["name"] == "unknown":  # of a long recording at every location: each is named by its size
+            out |= {f"unknown:{key.partition('.')[0]}": {key: value} for key, value in effect["parameters"].items()}
+            continue
         for at in effect["where"]:
             mine = {key: value for key, value in effect["parameters"].items() if key.startswith((f"{at}.", f"{at}("))}
             out[f"{effect['name']}:{at}"] = mine or (effect["parameters"] if len(effect["where"]) == 1 else {})

@@ -8,7 +8,7 @@ import simulated
 
 from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
-from mbcacq.diagnosis.output.orders import stated_orders
+from mbcacq.diagnosis.output.orders import pooled_spread, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.validation.folds import blocks
 from mbcacq.diagnosis.validation.found_again import jackknife, with_spread_between_parts
@@ -78,6 +78,22 @@ def test_an_order_that_does_not_tell_whole_numbers_apart_is_not_stated(sigma, de
     found = with_orders(gear([1.0], [sigma]))
     assert ("A6.order" in found.parameters) is determined
     assert ("A6.rms_deg" in found.parameters) is not determined
+
+
+def test_lines_closer_than_two_periods_over_the_travel_are_not_determined_where_halves_were_asked():
+    near, far = (with_orders(gear(one, [0.01, 0.01], halves=[one, one])) for one in ([11.0, 12.2], [11.0, 12.6]))
+    assert not any(one.determined for one in near.orders)
+    assert all(one.determined for one in far.orders)
+
+
+def test_an_order_is_no_surer_than_those_of_all_joints_differ_between_halves():
+    gears = [gear([22.0], [0.003], halves=[[21.99], [22.01]]), gear([11.0], [0.003], halves=[[10.9], [11.1]])]
+    spread = pooled_spread(gears, {"A6": RESOLUTION})
+    assert spread.order == pytest.approx(np.sqrt((0.1**2 + 0.01**2) / 2) / RESOLUTION)
+    (parts,) = gears[0].found_again
+    found = stated_orders(gears[0], "A6", [()], parts, RESOLUTION, spread, 0.5)
+    assert found.parameters["A6.order"].std == pytest.approx(spread.order * RESOLUTION)
+    assert found.parameters["A6.phase_deg"].std == pytest.approx(np.hypot(2.0, np.degrees(0.5 * spread.order * RESOLUTION)), rel=1e-3)
 
 
 def test_more_than_three_peaks_leave_an_order_undetermined():
