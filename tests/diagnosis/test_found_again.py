@@ -8,10 +8,13 @@ import simulated
 
 from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
+from mbcacq.diagnosis.model_fit import PartModel
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.output.orders import pooled_spread, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.folds import blocks
-from mbcacq.diagnosis.validation.found_again import jackknife, with_spread_between_parts
+from mbcacq.diagnosis.validation.found_again import jackknife, size_spread, with_spread_between_parts
 from mbcacq.diagnosis.verdict import not_found_again
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -132,6 +135,25 @@ def test_a_size_is_no_surer_than_halves_agree():
     assert found.parameters["A2.compliance_rad_per_Nm"] == ParameterEstimate(9e-6, pytest.approx(1.3e-6))
     overlapping = replace(soft, found_again=tuple(replace(one, disjoint=False) for one in soft.found_again))
     assert with_spread_between_parts([overlapping]) == [overlapping]
+
+
+def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
+    def model(*sizes):
+        groups = [RandomEffect(f"A{j + 1}", f"q{j + 1}", (), size * np.array([1.0, 0.5])) for j, size in enumerate(sizes)]
+        return PartModel(model=NO_EFFECTS, random=tuple(groups), stated={})
+
+    spread = size_spread(model(2.0, 3.0).random, [model(1.8, 3.3), model(2.2, 2.7)])
+    assert spread == pytest.approx(0.1)
+    unmodelled = EffectFound(
+        name="unknown",
+        where=("A1",),
+        parameters={"A1(q1).rms_mm": ParameterEstimate(0.05, 0.001), "A2(q2).rms_mm": ParameterEstimate(0.02, 0.004)},
+        p_value=1e-9,
+        held_out_gain=0.9,
+        found_again=(FoundAgain("A1", 2, 2, True, size_spread=spread),),
+    )
+    (found,) = with_spread_between_parts([unmodelled])
+    assert [p.std for p in found.parameters.values()] == [pytest.approx(0.005), 0.004]
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
