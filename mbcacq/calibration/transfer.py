@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.change import changed_while_recorded
 from mbcacq.calibration.held_out_poses import gross, rms
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
@@ -236,7 +237,7 @@ def check_transfer(
         own_geometry=tried.own_geometry(every),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
-        warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
+        warnings=(*tried.changes(cell.state.chain, model), *left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
         fitted=FITTED_OF_FLANGE if tried.of_flange_poses else Transfer.fitted,
         parts_left_out=tried.parts_left_out(best, model, used),
@@ -308,6 +309,12 @@ class _Trial:
         return adjusted_cell(
             options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]), known_noise=True
         )
+
+    def changes(self, chain: Chain, model: EffectModel) -> tuple[str, ...]:
+        """A sentence on what changed while the recording was made, where something did."""
+        displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
+        change = changed_while_recorded(with_arm(self.obs, chain), displaced)
+        return () if change is None else (f"something changed while that recording was made: {change.event}",)
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from mbcacq.calibration.result_io import of_flange_poses
+from mbcacq.calibration.result_io import ONE_VIEW, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import (
@@ -159,6 +159,10 @@ def fit(result: dict[str, Any]) -> list[str]:
         aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"
         out.append(f"Expected accuracy of a point in the workspace: {value} (U, k = 2; {misfit or aside})")
     if noise:
+        if (view := noise_of_a_view(result)) is not None:
+            place, about = uncertainty(1e3 * view[0]), uncertainty(1e6 * view[1])
+            out.append(f"Noise (k = 1): one view is off by {place} µm and {about} µrad, scanner and flange together; {ONE_VIEW}")
+            return out
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])
         out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
