@@ -12,9 +12,9 @@ from mbcacq.diagnosis.model_fit import PartModel
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.output.orders import pooled_spread, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.folds import blocks
-from mbcacq.diagnosis.validation.found_again import jackknife, size_spread, with_spread_between_parts
+from mbcacq.diagnosis.validation.found_again import jackknife, shows, size_spread, with_spread_between_parts
 from mbcacq.diagnosis.verdict import not_found_again
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -154,6 +154,14 @@ def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
     )
     (found,) = with_spread_between_parts([unmodelled])
     assert [p.std for p in found.parameters.values()] == [pytest.approx(0.005), 0.004]
+
+
+def test_something_unmodelled_that_a_part_has_under_another_name_is_found_again():
+    named = EffectSet((Member(simulated.candidate("lost_motion", "A3", [1.0]), None),))
+    part = PartModel(model=named, random=(), stated={})
+    assert shows(part, "A3", {"backlash:A3"})
+    assert not shows(part, "A3", {"lost_motion:A3"})
+    assert not shows(part, "A2", set())
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
