@@ -16,7 +16,6 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K
 
 POSES = ("ur5-tracker", "ur10-tracker-a", "ur10-tracker-c", "panda-sockets", "iiwa14-sockets")
-MOTION = "kr300"
 MOST_POSES = 3000  # of a campaign, at random
 ANGLES = ("phase_deg", "zero_deg")
 ALIASES = 2.0  # orders within which two lines are the same
@@ -92,25 +91,16 @@ def diagnosed(obs: Observations, file: Path) -> dict:
 
 
 def found_again(given: argparse.Namespace) -> None:
-    """Each open recording diagnosed as a whole and in two halves by blocks, and the two runs of the KR 300 against each other.
+    """Each open recording of poses diagnosed as a whole and in two halves by blocks.
 
     --kept: diagnoses so far; go on with them.
     """
     rows = []
-    for name in given.sets or (*POSES, MOTION):
-        if name == MOTION:
-            runs = {run: given.kept / f"kr300-{run}.json" for run in "ab"}
-            for run, file in runs.items():
-                if not file.exists():
-                    found = mbcacq.diagnose(given.data / f"kr300-trajectory-{run}").motion
-                    file.write_text(json.dumps(found.to_json()), encoding="utf-8")
-            first, second = (json.loads(file.read_text(encoding="utf-8")) for file in runs.values())
-            rows.append(row_of("kr300, motion, run a and run b", 0, first, second, "-"))
-        else:
-            parts = parts_of(name, given.data)
-            whole, first, second = (diagnosed(obs, given.kept / f"{name}-{part}.json") for part, obs in parts.items())
-            held = "; ".join(f"{c['fit']['held_out']['after_rms_mm']:.3f}" for c in (whole, first, second))
-            rows.append(row_of(name, parts["whole"].n_poses, first, second, held))
+    for name in given.sets or POSES:
+        parts = parts_of(name, given.data)
+        whole, first, second = (diagnosed(obs, given.kept / f"{name}-{part}.json") for part, obs in parts.items())
+        held = "; ".join(f"{c['fit']['held_out']['after_rms_mm']:.3f}" for c in (whole, first, second))
+        rows.append(row_of(name, parts["whole"].n_poses, first, second, held))
         print(rows[-1], flush=True)
     if given.write:
         put(HERE / "found_again.md", "\n".join([HEADER, "|---|--:|--:|--:|--:|--:|--:|---|", *rows]))

@@ -31,7 +31,7 @@ CROWDED = 2.0  # resolutions, within which two lines of a joint trade with each 
 
 
 @dataclass(frozen=True)
-class Spread:
+class HalfDifference:
     """By how much halves of a recording differ, pooled over all lines of all joints: two values alone may agree by chance.
 
     Attributes
@@ -46,7 +46,7 @@ class Spread:
     size: float = 0.0
 
 
-NO_SPREAD = Spread()
+NO_DIFFERENCE = HalfDifference()
 
 
 def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
@@ -70,8 +70,8 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
     return out
 
 
-def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float]) -> Spread:
-    """Of all joints whose periodic errors disjoint parts have. resolution: by joint."""
+def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float]) -> HalfDifference:
+    """The difference over all joints whose periodic errors disjoint parts have. resolution: by joint."""
     orders, sizes = list[float](), list[float]()
     for effect in effects:
         for one in effect.found_again:
@@ -83,7 +83,7 @@ def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float
             orders += [line[0].sigma / resolution[one.at] for line in lines if line[0].sigma > 0]
             each = rms_in_parts(one, f"{one.at}.amplitude_deg")
             sizes += [float(jackknife(each[:, None])[0] / each.mean())] if len(each) > 1 else []
-    return Spread(*(float(np.sqrt(np.mean(np.square(some)))) if some else 0.0 for some in (orders, sizes)))
+    return HalfDifference(*(float(np.sqrt(np.mean(np.square(some)))) if some else 0.0 for some in (orders, sizes)))
 
 
 def stated_orders(
@@ -92,7 +92,7 @@ def stated_orders(
     others: Sequence[Sequence[OrderPeak]],
     parts: FoundAgain | None,
     resolution: float,
-    spread: Spread = NO_SPREAD,
+    spread: HalfDifference = NO_DIFFERENCE,
     middle: float = 0.0,
 ) -> EffectFound:
     """The effect with the orders of one joint.
@@ -174,7 +174,7 @@ def of_lines(
     sigmas: tuple[np.ndarray, np.ndarray],
     single: Sequence[bool],
     parts: FoundAgain | None,
-    spread: Spread = NO_SPREAD,
+    spread: HalfDifference = NO_DIFFERENCE,
 ) -> dict[str, ParameterEstimate]:
     """The parameters with those lines of a joint alone that have a single order; where others are left out, the rms of all lines together,
     which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
@@ -209,7 +209,7 @@ def rms_in_parts(parts: FoundAgain | None, name: str) -> np.ndarray:
     return np.array([] if parts is None else [np.sqrt(np.sum(np.square(p.components[0])) / 2) for p in parts.values.get(name, ())])
 
 
-def rms_of_lines(values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: Spread) -> ParameterEstimate:
+def rms_of_lines(values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference) -> ParameterEstimate:
     """Rms over a whole period of all lines of a joint, deg, by their amplitudes (k,); no surer than disjoint parts differ by. each: (n,) of
     the parts.
     """
