@@ -118,7 +118,7 @@ def staged_method(pairs: str) -> Callable[[Observations], CellState]:
 def distances_only(obs: Observations) -> CellState:
     """The distance constraint alone, on the measured centres of all balls, redundant parameters held."""
     from mbcacq.calibration.staged import method
-    from mbcacq.calibration.staged.error_propagation import Measured, scanner_noise
+    from mbcacq.calibration.staged.pair_distances import Measured, scanner_noise
     from mbcacq.estimation import parameters
 
     _scanner_of_several_balls(obs)
@@ -169,7 +169,7 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
         return where, se3.transform(R, place)
     if np.bincount(obs.pose).max(initial=0) < LEAST_POSES or not np.any(np.abs(obs.xyz) > 1e-9):
         raise CalibrationError(TOO_FEW)
-    from mbcacq.calibration.staged.ball_pairs import FLAT_MM, width
+    from mbcacq.calibration.staged.pair_distances import FLAT_MM, width
 
     enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= LEAST_POSES)
     flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
