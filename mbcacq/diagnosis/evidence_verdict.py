@@ -12,7 +12,7 @@ from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
-from mbcacq.diagnosis.model_fit import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_term import UNKNOWN
 
@@ -20,18 +20,20 @@ from mbcacq.effects.effect_term import UNKNOWN
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     """The verdict is ``none`` if the evidence of all effects is below that of noise alone. It is ``cannot_tell`` if the evidence is above
     that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared. Otherwise it says which
-    explain more of the mismatch: effects of the catalogue, or unmodelled ones.
+    explain more of the mismatch: effects of the catalogue, or unmodelled ones. Joints that repeat worse than their data sheet has it are
+    a mismatch of their own: the verdict is neither ``none`` nor ``explained`` then.
     """
+    noisy = joint_noise_factor(full) > 1.0
     if fit.cut_short:
         return "cannot_tell"
     if not fit.significant and not full.random:
-        return "cannot_tell" if fit.undecided else "none"
+        return "cannot_tell" if fit.undecided or noisy else "none"
     if not fit.significant:
         return "unexplained"
     if alternatives_to(fit, reported_hypothesis(fit)):
         return "cannot_tell"
     if not full.random:
-        return "explained"
+        return "partly_explained" if noisy else "explained"
     contributions = Contributions(full)
     rest = contributions.of(contributions.unmodelled)
     return "partly_explained" if full.model.gain > rest else "unexplained"

@@ -10,7 +10,7 @@ from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.model_fit import ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -38,6 +38,12 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     wrong = stated_noise_is_wrong(full, first_noise(setup.linear.obs.cell))
     if wrong is not None:
         out.append(wrong)
+    factor = joint_noise_factor(full)
+    if factor > 1.0:
+        out.append(
+            f"the joints repeat {significant(factor, 2)} times worse than the data sheet (repeatability_mm) has it: something of which no "
+            "model was found is in this noise; visit some poses several times, in different order and after different pauses"
+        )
     keep = full.geometry_only.linear.keep
     if open_ones := [u.name for u in setup.undetermined if not u.harmless]:
         out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
