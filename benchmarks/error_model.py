@@ -1,13 +1,12 @@
-"""What is not known, held apart from noise: hand-eye alone, contradictions, arms that err beyond their geometry, recordings of real arms.
+"""What is not known, held apart from noise: hand-eye alone, arms that err beyond their geometry, recordings of real arms.
 
-    python benchmarks/error_model.py [--arms 200] [--seeds 100] [--strikes 20] [--links 60] [--serial 40] [--cells 12] [--data FOLDER ..]
+    python benchmarks/error_model.py [--arms 200] [--seeds 100] [--links 60] [--serial 40] [--cells 12] [--data FOLDER ..]
 
 Hand-eye: arms of three classes (KR 10 with 0.15 mm and 0.03 deg, iiwa 7 with the same, KR 10 with three times as much), one and four
-places. The normalised error squared (NEES) is d' inv(C) d / 6 of the hand-eye transform. Strikes: a place, a mount, a joint or one pose is
-off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Links: ordinary arms in few poses, judged all over the workspace. Serial: the
-same, whose errors the poses after one another share. Arms: the errors are written here as plain formulas and applied to the joints; judged
-at new places, without noise of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks of the order
-of measuring.
+places. The normalised error squared (NEES) is d' inv(C) d / 6 of the hand-eye transform. Links: ordinary arms in few poses, judged all
+over the workspace. Serial: the same, whose errors the poses after one another share. Arms: the errors are written here as plain formulas
+and applied to the joints; judged at new places, without noise of the judging, a rigid motion of everything aside. Data: observation
+sets, each in five blocks of the order of measuring.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from pathlib import Path
 
 import bench  # noqa: F401  # the simulated cells of the tests
 import numpy as np
-from cells import Simulated, iiwa, kr10, measure, scanner_cell
+from cells import Simulated, iiwa, kr10, scanner_cell
 from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong
 from mbcacq_fakes.cell import computed_run
 
 from mbcacq import load_observations
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
-from mbcacq.errors import CalibrationError, MbcacqError
+from mbcacq.errors import MbcacqError
 from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
@@ -167,58 +166,6 @@ def shipped_plan(name: str, seeds: int) -> None:
         z.append(d / np.sqrt(np.diag(C)))
     size = np.abs(z)
     print(f"plans/{name}.yaml, {seeds} seeds: {np.mean(size <= 3):.1%} of the six within 3 sigma, at most {size.max():.1f}", flush=True)
-
-
-def struck(kind: str, mm: float, seed: int):
-    """A recording of one place (hand-eye alone) or six (arm) in which something is off from a random pose on, and the true cell before."""
-    rng = np.random.default_rng(seed)
-    cell = scanner_cell(rng, stations=4, per_station=10, errors=ordinary_errors(kr10(), rng))
-    obs, truth = cell.observations, cell.truth
-    at = int(rng.integers(8, 33))
-    later = np.arange(obs.n_poses) >= at
-    direction = rng.normal(size=3)
-    shift = mm * direction / np.linalg.norm(direction)
-    if kind == "place":
-        places = truth.T_base_station.copy()
-        s = obs.station[at]
-        places[s] = places[s] @ se3.exp(np.concatenate([shift, np.zeros(3)]))
-        truth = replace(truth, T_base_station=places)
-    elif kind == "mount":
-        truth = replace(truth, T_flange_scanner=truth.T_flange_scanner @ se3.exp(np.concatenate([shift, rng.normal(size=3) * mm / 400])))
-    elif kind == "joint":
-        errors = truth.chain.rows - obs.cell.robot.chain.rows
-        errors[rng.integers(1, 5), 0] += mm / 700
-        truth = replace(truth, chain=obs.cell.robot.chain.with_errors(errors))
-    else:
-        later = np.arange(obs.n_poses) == at
-        truth = replace(truth, T_flange_scanner=truth.T_flange_scanner @ se3.exp(np.concatenate([shift, np.zeros(3)])))
-    other = measure(obs, truth, rng, NOISE, JOINT)
-    return replace(obs, xyz=np.where(later[obs.pose][:, None], other.xyz, obs.xyz)), cell.truth
-
-
-def strikes(count: int) -> None:
-    """silent: neither warned, refused nor rejected, where the hand-eye is off by more than three stated sigma."""
-    print("| strike | refused | named right | warned, not named | named wrong | rejected alone | nothing said | of these beyond 3 sigma |")
-    print("|---|---|---|---|---|---|---|---|")
-    words = {"place": "place of the artefact", "mount": "mount slipped", "joint": "zero of joint", "pose": "alone explains"}
-    for kind, word in words.items():
-        tally = dict.fromkeys(("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"), 0)
-        for k in range(count):
-            obs, truth = struck(kind, float(np.exp(np.random.default_rng([7, k]).uniform(np.log(0.1), np.log(5.0)))), 1000 + k)
-            try:
-                found = calibrate(obs, ALONE)
-            except CalibrationError:
-                tally["refused"] += 1
-                continue
-            said = " ".join(found.extra.get("warnings", ()))
-            if said:
-                tally["right" if word in said else "wrong" if any(w in said for w in words.values()) else "unnamed"] += 1
-                continue
-            tally["rejected" if found.fit.rejected else "nothing"] += 1
-            d, C = hand_eye_error(found, truth.T_flange_scanner)
-            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(C))))
-        shown = (tally[key] for key in ("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"))
-        print(f"| {kind} | {' | '.join(f'{n} of {count}' for n in shown)} |", flush=True)
 
 
 def arms(cells: int) -> None:
@@ -365,7 +312,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arms", type=int, default=200)
     parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--strikes", type=int, default=20)
     parser.add_argument("--links", type=int, default=60)
     parser.add_argument("--serial", type=int, default=40)
     parser.add_argument("--cells", type=int, default=12)
@@ -376,8 +322,6 @@ def main() -> None:
         hand_eye(given.arms)
     if given.seeds:
         shipped_plan("quick", given.seeds)
-    if given.strikes:
-        strikes(given.strikes)
     if given.links:
         links(given.links)
     if given.serial:

@@ -12,6 +12,7 @@ from mbcacq.diagnosis.motion.diagnose import base_alone, diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.effects.effect import Parameters
+from mbcacq.effects.support import with_drives_for
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 
@@ -96,6 +97,8 @@ def recordings(
 ) -> tuple[list[Trajectory], list[dict[str, Any]]]:
     """The motions of a challenge with these effects, and the truth about them."""
     runs = [record(robot, effects, challenge.number, motion, challenge.seconds, challenge.liveliness) for motion in range(MOTIONS)]
+    for one in runs[0].truth:  # an arm is made with what it has
+        robot = with_drives_for(robot, one["name"], tuple(one["where"]))
     trajectories = [
         Trajectory(robot, r.time_s, r.q, q_set=r.q_set, q_joint=r.q_joint, torque=r.torque, name=f"{challenge.number}-{k}")
         for k, r in enumerate(runs)

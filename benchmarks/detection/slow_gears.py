@@ -19,7 +19,7 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation, geometry_scores
 from mbcacq.diagnosis.validation.folds import split
-from mbcacq.diagnosis.verdict import conclude, judge
+from mbcacq.diagnosis.verdict import conclude
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
 
@@ -35,7 +35,7 @@ def diagnosed(observations: Observations) -> Diagnosis:
     full = fit_model(problem)
     fold, how = split(full.geometry_only.linear, 4)
     plain = geometry_scores(full, [fold == k for k in range(int(fold.max()) + 1)])
-    return conclude(problem, judge(problem, full, CrossValidation(plain, plain, how, {})))
+    return conclude(problem, full, CrossValidation(plain, plain, how, {}))
 
 
 def said_of(found: Diagnosis, joint: str, order: float, amplitude_deg: float) -> str:

@@ -10,11 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.change import ChangeFound, found_change
+from mbcacq.calibration.change import ChangeEvidence, evidence_of_change
 from mbcacq.calibration.competing_methods import best_on_held_out
 from mbcacq.calibration.contradiction import fault_while_recording, with_contradiction
 from mbcacq.calibration.description import misdescribed
-from mbcacq.calibration.published_cell import cell_of, with_accident, with_length_uncertainty, with_nominal_arm, with_notes_on_poses
+from mbcacq.calibration.published_cell import (
+    averaged_over_changes,
+    cell_of,
+    with_accident,
+    with_length_uncertainty,
+    with_nominal_arm,
+    with_notes_on_poses,
+)
 from mbcacq.calibration.recording_faults import with_joint_noise_check
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.with_discrepancy import evidence_gain, with_discrepancy
@@ -86,25 +93,27 @@ def _arm_and_hand_eye(cell: CalibratedCell) -> CalibratedCell:
     """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
     refuse_unusable(cell)
-    options, fault, change = cell.fit.options, "", None
+    options, fault, change = cell.fit.options, "", ChangeEvidence()
     if options.discrepancy:
-        fault, change = fault_while_recording(cell.adjustment), found_change(cell.adjustment)
+        fault, change = fault_while_recording(cell.adjustment), evidence_of_change(cell.adjustment)
     # An event that happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
     if options.discrepancy and not options.terms and not fault:
         cell, change = _smooth_or_sudden(cell, change)
-        cell = best_on_held_out(cell) if change is None else cell
+    cell = averaged_over_changes(cell, change)
+    if options.discrepancy and not options.terms and not fault and change.found is None:
+        cell = best_on_held_out(cell)
     cell = with_joint_noise_check(cell)
     explained_by_a_pose = cell.extra.get("joint_noise_check", {}).get("pose") is not None
-    return with_accident(cell, change or ("" if explained_by_a_pose else fault))
+    return with_accident(cell, change.found or ("" if explained_by_a_pose else fault))
 
 
-def _smooth_or_sudden(cell: CalibratedCell, change: ChangeFound | None) -> tuple[CalibratedCell, ChangeFound | None]:
+def _smooth_or_sudden(cell: CalibratedCell, change: ChangeEvidence) -> tuple[CalibratedCell, ChangeEvidence]:
     """The cell with smooth errors of the joints where the evidence asks for them, and the change beside them, unless the change is the
     better explanation: what depends on posture is no accident."""
     smooth = with_discrepancy(cell.adjustment)
-    if smooth is None or (change is not None and change.log_e > evidence_gain(smooth)):
+    if smooth is None or (change.found is not None and change.log_e > evidence_gain(smooth)):
         return cell, change
-    return smooth, found_change(smooth.adjustment)
+    return smooth, evidence_of_change(smooth.adjustment)
 
 
 def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
@@ -112,10 +121,12 @@ def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
     if not cell.fit.options.discrepancy:
         return cell
     cell = with_contradiction(cell)
-    change = found_change(cell.adjustment)
-    if change is not None:
-        _, change = _smooth_or_sudden(cell, change)
-    cell = with_accident(with_nominal_arm(cell), change)
+    change = evidence_of_change(cell.adjustment)
+    if change.found is not None:
+        smooth, beside = _smooth_or_sudden(cell, change)
+        if smooth is not cell:
+            change = replace(change, found=beside.found, log_e=change.log_e - evidence_gain(smooth))
+    cell = with_accident(with_nominal_arm(averaged_over_changes(cell, change)), change.found)
     refuse_unusable(cell)
     return cell
 

@@ -2,6 +2,9 @@
 
 A change of three times the noise hides in an estimated noise. So the noise is estimated once more beside the step that looks best, and the
 step pays for what this noise is less probable without it.
+
+What is too weak to be said may still have moved the result. So a covariance is an average over all changes, each with its posterior
+probability: the second moment of the error about what is published (Bayesian model averaging; Hoeting et al. 1999).
 """
 
 from __future__ import annotations
@@ -31,7 +34,11 @@ class ChangeOptions:
     """When a change is said. benchmarks/strikes.md has the rates of false and of missed ones."""
 
     false_alarms: float = 0.01  # of recordings in which nothing changed
-    suspected: float = 0.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
+    prior: float = 0.1  # probability that something changes while a recording is made
+    suspected: float = -2.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
+    notable: float = 0.05  # probability of a change
+    negligible: float = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
+    rejected_of_ball: float = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
     least_side: int = 3  # poses on either side of a moment
     most_poses: int = 4000  # whose columns fit into memory
     same_moment: float = 3.0  # of the log Bayes factor: moments that are this near are said as a range
@@ -134,34 +141,76 @@ def in_words(kind: str, where: str) -> tuple[str, str]:
     }[kind]
 
 
-def found_change(fitted: Adjustment) -> ChangeFound | None:
-    """The change that a recording shows; None where what it shows has a probability of ``false_alarms`` without one.
+@dataclass(frozen=True)
+class ChangeEvidence:
+    """What a recording says of changes, found or not.
+
+    Attributes
+    ----------
+    log_e : float
+        Logarithm of the e-value of all changes, -inf where none was looked for.
+    found : ChangeFound or None
+        The change; None where what the recording shows has a probability of ``false_alarms`` without one.
+    second_moment : (g, g) ndarray or None
+        Of the errors of the estimate without a change, where there was one: averaged over kinds, moments and sizes.
+    """
+
+    log_e: float = -np.inf
+    found: ChangeFound | None = None
+    second_moment: np.ndarray | None = None
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability that something changed."""
+        odds = np.exp(min(self.log_e, 500.0)) * OPTIONS.prior / (1 - OPTIONS.prior)
+        return float(odds / (1 + odds))
+
+
+def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
+    """The evidence of a change in a recording.
 
     Parameters
     ----------
     fitted : Adjustment
         Adjustment of the recording, with random effects where it has some.
     """
-    obs, at = fitted.lineariser.obs, fitted.solution.evaluated()
+    obs = fitted.lineariser.obs
     if obs.n_poses > OPTIONS.most_poses or obs.n_poses < 2 * OPTIONS.least_side:
-        return None
+        return ChangeEvidence()
+    at = _with_balls_again(fitted.solution.evaluated())
     kinds = list(kinds_of_change(at))
-    first = _look(at, kinds)
-    if not kinds or first.log_e < OPTIONS.suspected:
-        return None
-    look, before, noise = first, _log_posterior(at, at.noise), at.noise
-    for _ in range(OPTIONS.turns):
-        noise = _noise_beside(at, kinds[look.kind], look.moment, noise)
-        last, look = look, _look(at.reweighted(noise, at.weights), kinds)
-        if (look.kind, look.moment) == (last.kind, last.moment):
-            break
-    log_e = look.log_e + _log_posterior(at, noise) - before
-    return _described(look, kinds, log_e) if log_e > -np.log(OPTIONS.false_alarms) else None
+    look = _look(at, kinds)
+    log_e = look.log_e
+    if log_e > OPTIONS.suspected:
+        before, noise = _log_posterior(at, at.noise), at.noise
+        for _ in range(OPTIONS.turns):
+            noise = _noise_beside(at, kinds[look.kind], look.moment, noise)
+            last, look = look, _look(at.reweighted(noise, at.weights), kinds)
+            if (look.kind, look.moment) == (last.kind, last.moment):
+                break
+        log_e = look.log_e + _log_posterior(at, noise) - before
+    found = _described(look, kinds, log_e) if log_e > -np.log(OPTIONS.false_alarms) else None
+    return ChangeEvidence(log_e, found, _second_moment(look, kinds))
+
+
+def found_change(fitted: Adjustment) -> ChangeFound | None:
+    """The change that a recording shows; see ``evidence_of_change``."""
+    return evidence_of_change(fitted).found
+
+
+def _with_balls_again(at: Solution) -> Solution:
+    """With the centres of balls of which many are rejected: a ball that moved by much is rejected from then on."""
+    obs, weights = at.lineariser.obs, at.weights
+    count, n = (np.bincount(obs.ball, w, minlength=len(obs.cell.ball_ids)) for w in (weights.centre == 0, None))
+    often = (count > OPTIONS.rejected_of_ball * n) & (n - count >= OPTIONS.least_side)
+    if not often.any():
+        return at
+    return at.reweighted(at.noise, replace(weights, centre=np.where(often[obs.ball], 1.0, weights.centre)))
 
 
 def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
     """Every kind of change that a recording may show."""
-    obs, prediction = at.lineariser.obs, at.linear.prediction
+    obs, prediction = at.lineariser.obs, at.there.prediction
     moment, n, names = np.arange(obs.n_poses + 1), obs.cell.robot.n, ("x", "y", "z")
     every = (moment >= OPTIONS.least_side) & (moment <= obs.n_poses - OPTIONS.least_side)
 
@@ -226,7 +275,7 @@ def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -
     after = np.zeros(obs.n_poses, bool)
     after[measuring_order(obs)[moment:]] = True
     step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
-    columns, k = at.linear.columns.with_parameters(step), step.shape[2]
+    columns, k = at.columns.with_parameters(step), step.shape[2]
     prior = Prior(
         np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)]),
         np.concatenate([at.prior.offset, np.zeros(k)]),
@@ -242,6 +291,39 @@ def _log_posterior(at: Solution, noise: Noise) -> float:
     normal = system.normal
     fitted = replace(system, normal=normal.after(np.linalg.solve(normal.information, normal.gradient)))
     return log_restricted_posterior(fitted, noise, at.lineariser.noise_prior)
+
+
+def _second_moment(look: _Look, kinds: list[KindOfChange]) -> np.ndarray:
+    """(g, g) of the errors that the estimate has if one of the changes happened; the mount's before and after it are as likely."""
+    test = look.test
+    total = np.zeros_like(test.covariance)
+    for kind, steps, log_bf in zip(kinds, look.steps, look.log_bf, strict=True):
+        t = np.flatnonzero(log_bf > look.log_e + np.log(OPTIONS.negligible))
+        share, root, (mean, square) = np.exp(log_bf[t] - look.log_e), steps.root[t], steps.shrinkage(t)
+        value = np.einsum("tkl,tml,tm->tk", root, root, steps.right[t])
+        absorbed = test.covariance @ np.swapaxes(steps.with_parameters[t], 1, 2)
+        mounted = _after_mount(test.solution, kind)
+        states = (absorbed,) if mounted is None else (absorbed, absorbed - mounted)
+        for G in states:
+            w, off, spread = share / len(states), (G @ value[..., None])[..., 0], G @ root
+            cross = np.outer(test.step, (w * mean) @ off)
+            total += w.sum() * np.outer(test.step, test.step) - cross - cross.T
+            total += (off * (w * square)[:, None]).T @ off + np.einsum("t,tgk,thk->gh", w * mean, spread, spread, optimize=True)
+    return total
+
+
+def _after_mount(at: Solution, kind: KindOfChange) -> np.ndarray | None:
+    """(g, k) twist of the hand-eye, in the scanner frame, by a step of the mount or the scanner; None for other kinds."""
+    if kind.name not in ("mount", "scanner"):
+        return None
+    T = at.estimate.state.T_flange_scanner
+    shift = np.eye(6)[:, ["xyz".index(c) for c in kind.components]] if kind.name == "scanner" else np.zeros((6, 0))
+    twist = -shift if kind.name == "scanner" else se3.adjoint(se3.inverse(T if T.ndim == 2 else T[0]))
+    names, out = at.lineariser.layout.names, np.zeros((at.normal.size, twist.shape[1]))
+    for row, c in zip(twist, HAND_EYE, strict=True):
+        if f"hand_eye.{c}" in names:
+            out[names.index(f"hand_eye.{c}")] = row
+    return out
 
 
 def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> ChangeFound:

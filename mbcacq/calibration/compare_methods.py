@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
-from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, prediction_error, rms
+from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, predicted, rms
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
@@ -160,8 +160,7 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
     distances, freedom = [], 0
     for part in np.array_split(rng.permutation(np.unique(unit)), min(FOLDS, len(np.unique(unit)))):
         test = np.isin(unit, part)
-        cell = fit(obs.select(~test))
-        d, used = about_best_station(obs.select(test), cell) if by_station else (prediction_error(obs.select(test), cell), 0)
+        d, used = predicted(obs.select(test), fit(obs.select(~test)), by_station)
         distances.append(d)
         freedom += used
     found = HeldOutRms.of(distances, freedom)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.held_out_poses import about_best_station, gross, held_out_masks, prediction_error, rms
+from mbcacq.calibration.held_out_poses import gross, held_out_masks, predicted, rms
 from mbcacq.calibration.published_cell import cell_of, warned, with_nominal_arm
 from mbcacq.calibration.recording_faults import InfluenceOptions, joint_factor
 from mbcacq.calibration.with_discrepancy import with_discrepancy
@@ -139,7 +139,7 @@ def compared_on_held_out(
     for rest, held in parts:
         for name in list(distances):
             try:
-                distances[name].append(_distances(held, fits[name](rest), by_station))
+                distances[name].append(predicted(held, fits[name](rest), by_station)[0])
             except (CalibrationError, np.linalg.LinAlgError):
                 if name == own:
                     return None
@@ -172,7 +172,7 @@ def plain_least_squares(alone: Adjustment) -> Adjustment:
     solution, noise = alone.solution, Noise(np.ones(3), still, 1e-3)
     for _ in range(2):
         solution = solve(solution, noise, every)
-        square = np.mean(solution.linear.residual**2, axis=0)
+        square = np.mean(solution.residual**2, axis=0)
         common = np.sqrt(obs.n_centres / obs.n_poses)
         turn = float(np.sqrt(np.mean(square[3:]))) * common if len(square) > 3 else 1e-3
         noise = Noise(np.full(3, float(np.sqrt(np.mean(square[:3]))) * common), still, turn)
@@ -189,10 +189,6 @@ def _blocks(obs: Observations) -> tuple[list[np.ndarray], bool]:
         except CalibrationError:
             return [], False
     return [np.isin(obs.station, group) for group in np.array_split(stations, BLOCKS)], True
-
-
-def _distances(held: Observations, cell: CalibratedCell, by_station: bool) -> np.ndarray:
-    return about_best_station(held, cell)[0] if by_station else prediction_error(held, cell)
 
 
 def _chosen(errors: Mapping[str, np.ndarray], own: str) -> str:

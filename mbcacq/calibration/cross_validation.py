@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
-from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, ball_spread, held_out_masks, prediction_error, rms
+from mbcacq.calibration.held_out_poses import HeldOutRms, ball_spread, held_out_masks, predicted, rms
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
@@ -83,13 +83,10 @@ def held_out(
     masks = held_out_masks(obs, split, size, fits, seed)
     distances, freedom, each, scatter = [], 0, [], []
     for test in masks:
-        fitted = calibrate(obs.select(~test), options)
-        held = obs.select(test)
+        fitted, held = calibrate(obs.select(~test), options), obs.select(test)
+        d, used = predicted(held, fitted, split == "station")
         if split == "station":
-            d, used = about_best_station(held, fitted)
             scatter.append(ball_spread(held, fitted))
-        else:
-            d, used = prediction_error(held, fitted), 0
         distances.append(d)
         freedom += used
         each.append(rms(d, used))

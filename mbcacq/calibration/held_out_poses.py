@@ -12,13 +12,11 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.verification import points_in_base
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.estimation import parameters
+from mbcacq.estimation.adjustment import Known, as_it_is
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -116,36 +114,39 @@ def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
     return test & ~unknown
 
 
+def predicted(held: Observations, cell: CellState | CalibratedCell, by_station: bool) -> tuple[np.ndarray, int]:
+    """(M,) mm distances of held-out centres from their prediction, and the degrees of freedom that it took: the places of whole stations,
+    which nothing else tells, are fitted to them."""
+    return about_best_station(held, cell) if by_station else (prediction_error(held, cell), 0)
+
+
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
-    state, options = _as_it_is(obs, cell)
-    residual = Lineariser(obs, parameters.build(obs, options), options).evaluate(parameters.Estimate(state)).residual
-    return np.linalg.norm(residual[:, :3], axis=1)
+    state, effects = _parts(cell)
+    return np.linalg.norm(as_it_is(obs, state, known(obs, effects)).residual[:, :3], axis=1)
 
 
 def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
-    state, options = _as_it_is(obs, cell)
-    start = with_all_stations(obs, state)
-    lineariser = Lineariser(obs, parameters.build(obs, options), options)
-    noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
-    solution = solve(system(lineariser, parameters.Estimate(start), noise, lineariser.everything))
-    return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
+    state, effects = _parts(cell)
+    solution = solve(as_it_is(obs, with_all_stations(obs, state), known(obs, effects)))
+    return np.linalg.norm(solution.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 
 def ball_spread(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of each ball, brought into the base, from the mean place of that ball at that station."""
     if obs.cell.measurement == TARGET_IN_BASE:
         return about_best_station(obs, cell)[0]
-    base = points_in_base(obs, cell, None) if isinstance(cell, CellState) else points_in_base(obs, cell.state, cell.effects)
+    base = points_in_base(obs, *_parts(cell))
     _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
     mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
     return np.linalg.norm(base - mean[group], axis=1)
 
 
-def _as_it_is(obs: Observations, cell: CellState | CalibratedCell) -> tuple[CellState, CalibrationOptions]:
-    """A cell's state, and options under which nothing but the stations is free and its effects displace the recording."""
-    state, effects = (cell, None) if isinstance(cell, CellState) else (cell.state, cell.effects)
-    displaced = tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
-    hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
-    return state, CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=displaced)
+def known(obs: Observations, effects: EffectModel | None) -> Known:
+    """Effects with their coefficients, as terms of a recording that they displace."""
+    return tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
+
+
+def _parts(cell: CellState | CalibratedCell) -> tuple[CellState, EffectModel | None]:
+    return (cell, None) if isinstance(cell, CellState) else (cell.state, cell.effects)

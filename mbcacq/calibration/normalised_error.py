@@ -77,8 +77,9 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
     estimate = Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing)))
-    linear = lineariser.at(lineariser.evaluate(estimate))
-    X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
+    columns = lineariser.at(lineariser.evaluate(estimate))
+    X = lineariser.rows.unpad(columns.dense)[:, :3]
+    X = X.reshape(-1, X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
     shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
@@ -94,7 +95,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
     kept = used[rows]
     A = A.reshape(len(A) // 3, 3, len(C))[kept] @ _root(C)  # of a hand-eye transform alone C is empty
-    joint = (lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint)[kept]
+    joint = (lineariser.rows.unpad(columns.of_joints)[:, :3] * cell.noise.joint)[kept]
     covariance = A @ np.swapaxes(A, 1, 2) + joint @ np.swapaxes(joint, 1, 2)
     covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))

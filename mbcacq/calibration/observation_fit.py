@@ -191,7 +191,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
         coefficients=solution.estimate.coefficients,
         station_covariance=station_covariance,
         weights=weights,
-        residual=solution.linear.residual,
+        residual=solution.residual,
         whitened=solution.whitened_residual,
         chi2=solution.cost,
         dof=int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank,
@@ -205,7 +205,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
 
 
 def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[Rejected, ...]:
-    size = np.linalg.norm(solution.linear.residual[:, :3], axis=1)
+    size = np.linalg.norm(solution.residual[:, :3], axis=1)
     out = [
         Rejected(pose=int(obs.pose_id[p]), distance_mm=float(size[obs.pose == p].max(initial=0.0)))
         for p in np.flatnonzero(weights.pose == 0)

@@ -104,7 +104,7 @@ def _predicted(obs: Observations, options: CalibrationOptions, fitted: Estimate,
     displaced = (*options.displaced, *zip(options.terms, fitted.coefficients, strict=True))
     plain = replace(options, displaced=displaced, terms=())
     at = system(Lineariser(obs, build(obs, plain), plain), Estimate(fitted.state), noise, weights)
-    return CentreResiduals(at.linear.residual[:, :3], at.whitened_residual[:, :3])
+    return CentreResiduals(at.residual[:, :3], at.whitened_residual[:, :3])
 
 
 def _weights(obs: Observations, centres: np.ndarray) -> Weights:

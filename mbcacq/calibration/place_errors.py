@@ -13,15 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
-from mbcacq.estimation.forward_model import predict, residual
+from mbcacq.estimation.adjustment import as_it_is
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.terms import unit
-from mbcacq.geometry import se3
+from mbcacq.estimation.solver import solve
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
-ROUNDS = 5  # of the adjustment, which is nearly linear from its start
 FEWEST = 4  # poses of a station: with fewer, its adjusted place takes up most of what the arm misses there
 
 
@@ -126,18 +124,7 @@ def missed_mm(obs: Observations) -> np.ndarray:
     """
     phases = None if obs.phase is None else tuple(np.unique(obs.phase).tolist())
     state = calibrate(obs, CalibrationOptions(kinematics=False, refuse=False, robust=False, phases=phases)).state
-    for _ in range(ROUNDS):
-        prediction = predict(obs, state)
-        mount = np.stack([unit(obs, prediction, "frame", obs.cell.robot.n, c) for c in range(6)], axis=2)
-        placed = np.stack([unit(obs, prediction, "station", 0, c) for c in range(6)], axis=2)
-        own = [placed * (obs.station[obs.pose] == s)[:, None, None] for s in np.unique(obs.station)]
-        columns = np.concatenate([mount, *own], axis=2)[:, :3].reshape(-1, 6 * (1 + len(own)))
-        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-        left = residual(obs, prediction)[:, :3].reshape(-1)
-        step = np.linalg.lstsq(columns / scale, left, rcond=1e-9)[0] / scale
-        stations = state.T_base_station.copy()
-        stations[np.unique(obs.station)] = stations[np.unique(obs.station)] @ se3.exp(step[6:].reshape(-1, 6))
-        # The frame behind the last link is the flange: what moves it in itself moves the scanner with it.
-        state = replace(state, T_flange_scanner=se3.exp(step[:6]) @ state.T_flange_scanner, T_base_station=stations)
-    away = residual(obs, predict(obs, state))[:, :3]
+    anywhere = tuple(replace(s, T_base_station=None) for s in obs.cell.stations)
+    free = replace(obs, rotation=None, cell=replace(obs.cell, stations=anywhere))
+    away = solve(as_it_is(free, state, hold=False)).residual
     return np.sqrt(np.bincount(obs.pose, np.sum(away**2, axis=1), obs.n_poses) / np.bincount(obs.pose, minlength=obs.n_poses))

@@ -14,16 +14,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import ChangeFound
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.estimation import parameters
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
-from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.options import CalibrationOptions, Noise, copies
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
+from mbcacq.estimation.options import copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
-from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
@@ -50,6 +46,19 @@ def warned(cell: CalibratedCell, sentence: str, first: bool = False, **further: 
     """The cell with one more warning, and further values of ``extra``."""
     before = cell.extra.get("warnings", ())
     return replace(cell, extra={**cell.extra, **further, "warnings": [sentence, *before] if first else [*before, sentence]})
+
+
+def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> CalibratedCell:
+    """The cell with a covariance that counts changes while it was recorded, found or not, each by its probability.
+
+    The second moment of the error about what is published, C + p M with M that of the error where something changed (Bayesian model
+    averaging). 'change_probability' of ``extra`` is p, where it is worth saying.
+    """
+    if change.second_moment is None:
+        return cell
+    said = {"change_probability": change.probability} if change.probability > OPTIONS.notable else {}
+    covariance = cell.covariance + change.probability * change.second_moment
+    return replace(cell, covariance=covariance, extra={**cell.extra, **said})
 
 
 def with_accident(cell: CalibratedCell, accident: ChangeFound | str | None) -> CalibratedCell:
@@ -83,31 +92,15 @@ def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
     result : CalibratedCell
         With link errors as random effects (``CalibrationOptions(kinematics=False)``), and with its adjustment.
     """
-    lineariser = result.adjustment.lineariser
+    lineariser, state = result.adjustment.lineariser, replace(result.state, chain=result.nominal)
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
-    state = _replaced(replace(result.state, chain=result.nominal), lineariser, result)
+    if lineariser.obs.cell.measurement == ARTEFACT_IN_SCANNER:  # artefacts stand where the nominal arm sees them; an instrument is a result
+        state = solve(as_it_is(lineariser.obs, state, lineariser.options.displaced), weights=result.fit.weights).estimate.state
     residual = lineariser.evaluate(Estimate(state, result.fit.coefficients)).residual
     covariance = result.covariance + np.outer(left_out, left_out)
     return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))
-
-
-def _replaced(state: CellState, lineariser: Lineariser, result: CalibratedCell) -> CellState:
-    """The state with the places of the artefacts as the nominal arm sees them. The place of an instrument is a result itself, and stays."""
-    if lineariser.obs.cell.measurement != ARTEFACT_IN_SCANNER:
-        return state
-    hold = tuple(f"{name}.{c}" for name in _mounts(result) for c in HAND_EYE)
-    options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=lineariser.options.displaced)
-    layout = parameters.build(lineariser.obs, options)
-    noise = Noise(np.ones(3), np.full(result.nominal.n, 1e-12), 1e-2)
-    at = system(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.fit.weights)
-    return solve(at).estimate.state
-
-
-def _mounts(result: CalibratedCell) -> list[str]:
-    """Names of the hand-eye transforms: one, or one for each of several recordings."""
-    return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in result.layout.blocks[1].names))
 
 
 def with_estimates(model: EffectModel, fitted: CalibratedCell) -> EffectModel:

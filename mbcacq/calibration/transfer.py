@@ -288,7 +288,7 @@ class _Trial:
         lineariser = Lineariser(known, parameters.build(known, options), options)
         every = lineariser.everything
         at = system(lineariser, Estimate(start), self.cell.noise, every)
-        distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
+        distance = np.linalg.norm(at.residual[:, :3], axis=1)
         weights = replace(every, centre=(~gross(distance)).astype(float))
         return adjusted_cell(
             options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]), known_noise=True

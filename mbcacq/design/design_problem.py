@@ -68,9 +68,9 @@ def pose_information(obs: Observations, state: CellState, layout: ParameterLayou
     """(P, 6, g + 6): whitened rows of each pose, in the order of ``obs``, by arm and hand-eye and by its own station, brought down to the
     six that a rigid view can have."""
     lineariser = Lineariser(obs, layout, CalibrationOptions(balls=False, refuse=False))
-    linear = lineariser.at(lineariser.evaluate(parameters.Estimate(state)))
+    columns = lineariser.at(lineariser.evaluate(parameters.Estimate(state)))
     weights = np.ones(obs.n_centres), np.ones(obs.n_poses)
-    X = Whitening(lineariser.rows, linear.J, noise, *weights)(linear.X)[..., :-1]
+    X = Whitening(lineariser.rows, columns.of_joints, noise, *weights)(columns.dense)[..., :-1]
     value, vector = np.linalg.eigh(np.swapaxes(X, 1, 2) @ X)
     value, vector = value[:, -6:], vector[:, :, -6:]
     reduced = np.sqrt(np.maximum(value, 0.0))[:, :, None] * np.swapaxes(vector, 1, 2)

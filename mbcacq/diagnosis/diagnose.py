@@ -13,7 +13,7 @@ from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.kept_model import kept_model, with_groups_everywhere
+from mbcacq.diagnosis.output.kept_model import kept_model, predicting_better, with_groups_everywhere
 from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
@@ -21,7 +21,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.validation.found_again import repetitions
-from mbcacq.diagnosis.verdict import conclude, judge
+from mbcacq.diagnosis.verdict import conclude
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -108,15 +108,17 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
         pool = WorkerPool() if full.empty else by.pool  # nothing is claimed, there is nothing to validate
         again = RepeatedSearch.begin(problem.with_linearization(full.geometry_only.linear), asked.folds, pool, bool(full.random))
     validation = validated(full, again, asked.progress)
+    kept, left_out = predicting_better(kept, full, validation)
+    refitting.begin(kept)
     repeated = repetitions(full, halves or again)
 
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, judge(problem, full, validation, repeated)), model=kept or None)
+    result = replace(conclude(problem, full, validation, repeated), model=kept or None)
     if asked.formulas:
         proposals, tried = propose(problem, full, result.effects, asked.progress)
         result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
     dependences = tuple(one.entry for one in variations)
-    noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *notes)
+    noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *left_out, *notes)
     result = replace(result, notes=noted, noise_depends_on=dependences)
     if not refitting.begun:
         return result

@@ -59,8 +59,9 @@ class PosesGiven:
             for m, own in zip(best.members, found.slices(), strict=True)
         ]
         given = self.problem.given
+        # They were learnt in a motion, so the poses say nothing of the range in which they hold.
         held = [
-            replace(term_of(here, m.candidate, None, given.coefficients[own], given.std[own]), held=True)
+            replace(term_of(here, m.candidate, None, given.coefficients[own], given.std[own]), held=True, clamped=())
             for m, own in zip(given.members, given.slices(), strict=True)
         ]
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)

@@ -112,7 +112,7 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
 
 def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:
     """The problem of adjusted observations, without the cells of geometry alone."""
-    keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
+    keep = adjusted.used | not_grossly_off(adjusted.solution.residual)
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=adjusted.lineariser.asked, given=options.displaced)
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)

@@ -1,17 +1,21 @@
-"""The verdict: from the fitted model and its cross-validation to what is reported."""
+"""The verdict: from the fitted model and its cross-validation to what is reported.
+
+One bound on false alarms holds at every size of recording; names and their alternatives have posterior odds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
-from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, verdict_by_evidence, with_alternatives
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to, better_in_general, pairs_not_separable
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.model_fit import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
@@ -24,73 +28,40 @@ from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, Member
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
-
-@dataclass(frozen=True, kw_only=True)
-class JudgedFit:
-    """The reported results of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are
-    not separable, with their coefficients.
-    """
-
-    full: ModelFit
-    validation: CrossValidation
-    before: PredictiveScore
-    residual: np.ndarray
-    verdict: str
-    mismatch: list[MismatchEntry]
-    effects: list[EffectFound]
-    not_separable: tuple[NotSeparable, ...]
-    pairs: tuple[tuple[Sequence[Member], Sequence[Member]], ...]
-
-
 NOTHING_REPEATED: Repetitions = {}
 
 
-def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, again: Repetitions = NOTHING_REPEATED) -> JudgedFit:
-    """What the evidence says of a fit; the held-out figures of ``validation``, and whether parts of the recording show each effect
-    ``again``, are reported beside it.
+def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation, again: Repetitions = NOTHING_REPEATED) -> Diagnosis:
+    """The diagnosis of a fit by its evidence: verdict, scores, uncertainties, alternatives, advice, limits of what was not found.
+
+    The held-out figures of ``validation``, and whether parts of the recording show each effect ``again``, are reported beside it. The
+    effects that are kept are not in it.
     """
-    before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     contributions = Contributions(full)
-    found = effects_by_contribution(full, contributions, validation, again)
-    effects, mismatch = averaged_over_sets(full, with_alternatives(full, found)), mismatch_table(full, contributions, before)
-    alike = pairs_not_separable(full.evidence)
-    pairs = (tuple(side.part(lambda m: m.candidate.name != UNKNOWN).with_coefficients for side in sides) for _, *sides in alike)
-    return JudgedFit(
-        full=full,
-        validation=validation,
-        before=before,
-        residual=residual,
-        verdict=verdict_of(full),
-        mismatch=mismatch,
-        effects=effects,
-        not_separable=tuple(pair for pair, *_ in alike),
-        pairs=tuple((ours, theirs) for ours, theirs in pairs if ours and theirs),
-    )
-
-
-def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
-    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found; without the
-    effects that are kept."""
-    full, validation, before = fit.full, fit.validation, fit.before
+    before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     after, residual_after = training_score(full.joint)
+    found = averaged_over_sets(full, with_alternatives(full, effects_by_contribution(full, contributions, validation, again)))
+    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
     # That nothing was found says little where little could have been.
-    too_little = says_too_little(limited, setup.linear.obs.n_poses) if fit.verdict == "none" else None
-    verdict = fit.verdict if too_little is None else "cannot_tell"
-    advice = separating(setup.context, fit.pairs) if too_little is None else revealing(setup.context, limited)
-    reported = with_significance(fit.effects, setup, full)
+    too_little = says_too_little(limited, setup.linear.obs.n_poses) if verdict == "none" else None
+    verdict = verdict if too_little is None else "cannot_tell"
+    advice = separating(setup.context, named_alone(alike)) if too_little is None else revealing(setup.context, limited)
+    reported = with_significance(found, setup, full)
     evidence = summarized(setup, full.evidence)
     recordings = between_recordings(full)
     reported = with_orders(full, with_spread_between_parts(with_common_values(reported, recordings)))
-    effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
+    not_separable = tuple(pair for pair, *_ in alike)
+    mismatch = mismatch_table(full, contributions, before)
+    effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
     if verdict == "explained" and (once or all(e.trend for e in effects)):
         verdict = "cannot_tell"  # a name without a figure, or one that halves do not both give, explains nothing
@@ -104,14 +75,14 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
             repeatability_floor_mm=expected_rms(full, after.rms),
         ),
         geometry_alone=setup.geometry_alone,
-        not_separable=fit.not_separable,
+        not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
         notes=(
             *not_carried_over(verdict, validation, effects),
             *sum_of_shares(mismatch, before, after),
             *notes(setup, full),
-            *of_effects(setup, full, fit.effects),
+            *of_effects(setup, full, found),
             *([] if too_little is None else [too_little]),
             *undecided_evidence(full),
             *once,
@@ -120,8 +91,14 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         exclusion_limits=exclusion_limits(full, setup.candidates, there),
         between_recordings=recordings,
         evidence=evidence,
-        plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
+        plot_data=plot_data(setup, full, mismatch, residual, residual_after),
     )
+
+
+def named_alone(alike: Sequence[tuple[NotSeparable, EffectSet, EffectSet]]) -> list[tuple[Sequence[Member], Sequence[Member]]]:
+    """Both sides of each pair by their parametric effects, with coefficients, where both have some."""
+    sides = ([side.part(lambda m: m.candidate.name != UNKNOWN).with_coefficients for side in both] for _, *both in alike)
+    return [(ours, theirs) for ours, theirs in sides if ours and theirs]
 
 
 def not_found_again(effects: Sequence[EffectFound]) -> list[str]:
@@ -154,5 +131,67 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 
 def verdict_of(full: ModelFit) -> str:
-    """The verdict on the data of the fit."""
-    return verdict_by_evidence(full, full.evidence)
+    """The verdict on the data of the fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell``
+    if the evidence is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared.
+    Otherwise it says which explain more of the mismatch: effects of the catalogue, or unmodelled ones. Joints that repeat worse than their
+    data sheet has it are a mismatch of their own, and a name that a general function predicts better than is no explanation: the verdict
+    is then neither ``none`` nor ``explained``.
+    """
+    fit, noisy = full.evidence, joint_noise_factor(full) > 1.0
+    if fit.cut_short:
+        return "cannot_tell"
+    if not fit.significant and not full.random:
+        return "cannot_tell" if fit.undecided or noisy else "none"
+    if not fit.significant:
+        return "unexplained"
+    if alternatives_to(fit, reported_hypothesis(fit)):
+        return "cannot_tell"
+    if not full.random:
+        return "partly_explained" if noisy or better_in_general(fit, reported_hypothesis(fit)) else "explained"
+    contributions = Contributions(full)
+    rest = contributions.of(contributions.unmodelled)
+    return "partly_explained" if full.model.gain > rest else "unexplained"
+
+
+def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
+    """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
+    locations of most evidence.
+    """
+    fit = full.evidence
+    reported = reported_hypothesis(fit)
+    out = []
+    for effect in effects:
+        found: dict[str, float] = {}
+        for where in effect.where if effect.name != UNKNOWN else effect.where[:1]:
+            for label in labels_of(reported, effect.name, where):
+                for other, odds in alternatives_of(fit, reported, label).items():
+                    found[other] = max(odds, found.get(other, 0.0))
+        best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
+        ranked = [Alternative.of_label(label, odds) for label, odds in best]
+        if full.everywhere and effect.name == UNKNOWN:
+            first, *others = full.cells
+            odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
+            ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
+        out.append(replace(effect, alternatives=tuple(ranked)))
+    return out
+
+
+def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:
+    """``name:where`` of the effects of this name of which ``where`` is a location."""
+    mine = (m for m in reported.members if m.candidate.name == name and where in m.candidate.where)
+    return list(dict.fromkeys(m.label for m in mine))
+
+
+def averaged_over_sets(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
+    """The effects with the parameters as all sets state them that are not excluded."""
+    if not full.evidence.significant:
+        return list(effects)
+    sets = BetweenSets.of(full.evidence)
+    reported = reported_hypothesis(full.evidence)
+    out = []
+    for effect in effects:
+        labels = [label for at in effect.where for label in labels_of(reported, effect.name, at)]
+        out.append(
+            effect if effect.name == UNKNOWN else replace(effect, parameters=sets.averaged(dict.fromkeys(labels), effect.parameters))
+        )
+    return out

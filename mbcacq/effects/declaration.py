@@ -141,6 +141,8 @@ class Declaration:
         How it is periodic in a channel of motion.
     motor_side
         It is a part of the drive's torque that never passes the gear.
+    dissipative
+        All its parts together take energy from a motion at every speed.
     adds_body
         In motion its ten coefficients are inertial parameters of a body on the flange.
     model_block
@@ -164,6 +166,7 @@ class Declaration:
     coupling: EffectCoupling | None = None
     periodic_in_motion: PeriodicInMotion | None = None
     motor_side: bool = False
+    dissipative: bool = False
     adds_body: bool = False
     model_block: str = ""
     in_terms_of_poses: Callable[[Parameters, Parameters], Parameters] | None = None

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.errors import ContradictionError
+from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined, determined, still_determined
 from mbcacq.estimation.initial_guess import start, with_all_stations
@@ -18,8 +19,9 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, with_common_sizes
 from mbcacq.estimation.pose_information import Weights
-from mbcacq.estimation.solution import Solution
+from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import COARSE, made_exact, robust_solve, settle_variances, solve
+from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations
 
 COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
@@ -28,6 +30,7 @@ WORSE_ARM = 3.0  # times the errors of a new arm: one that was never calibrated,
 # Median shift of a pose's joints (rad, root of the sum of squares) that would explain its misfit, beyond which the same holds: an artefact
 # at a free station never misses by much more than its size, however wrong the arm. Where an arm misses by 25 mm, 0.03 rad explain it.
 CONTRADICTION_RAD = 0.05
+Known = tuple[tuple[Term, np.ndarray], ...]
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
 
@@ -108,6 +111,15 @@ def thin(obs: Observations, size: int) -> Observations:
     return obs.select(keep)
 
 
+def as_it_is(obs: Observations, state: CellState, known: Known = (), hold: bool = True) -> Solution:
+    """A cell on a recording, evaluated: nothing but the stations is free, without ``hold`` the hand-eye transform too; every centre counts
+    alike. known: effects that displace it, with their coefficients."""
+    held = parameters.hand_eye_names(obs) if hold else ()
+    options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=held, displaced=known)
+    lineariser = Lineariser(obs, parameters.build(obs, options), options)
+    return system(lineariser, Estimate(state), Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2), lineariser.everything)
+
+
 def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     """Hand-eye and stations with the arm as it is nominally, robustly; also the start of everything else."""
     if options.start is not None:
@@ -123,7 +135,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
         solution = robust_solve(at, 1.0, COARSE_ROTATION)
     except ContradictionError:
         solution = robust_solve(at.reweighted(worse, at.weights), 1.0, COARSE_ROTATION)
-    apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
+    apart = float(np.median(np.linalg.norm(solution.residual[:, :3], axis=1)))
     shift = float(np.median(solution.poses.by_pose(lambda of: np.linalg.norm(of.residual_joint * 4e-4, axis=1))))
     if apart > CONTRADICTION_MM or shift > CONTRADICTION_RAD:
         raise ContradictionError(

@@ -17,6 +17,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 LEVER_MM = 200.0  # of the points that stand for an orientation
+REACH_MM = 3000.0  # of a target on the flange: where all poses have one orientation nothing else determines its place
 NEAR_MM = 3.0  # a given hand-eye that brings the points together this well needs no other start
 
 
@@ -108,11 +109,12 @@ def target_and_stations(obs: Observations, T_base_flange: np.ndarray) -> tuple[n
         balls, which = np.unique(obs.ball[rows], return_inverse=True)
         lever = (-T[:, :3, None, :3] * (which[:, None] == np.arange(len(balls)))[:, None, :, None]).reshape(len(y), 3, -1)
         columns = np.concatenate([np.kron(np.eye(3), y[:, None, :]).reshape(-1, 3, 9), lever], axis=2)
-        solution = se3.least_distances(columns, T[:, :3, 3], np.zeros(len(y), int))
+        reach = np.full(lever.shape[2], REACH_MM)
+        solution = se3.least_distances(columns, T[:, :3, 3], np.zeros(len(y), int), np.r_[np.full(9, np.inf), reach])
         if solution is None:
             return None
         R_bs = se3.nearest_rotation(solution[:9].reshape(3, 3))
-        places = se3.least_distances(lever, T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int))
+        places = se3.least_distances(lever, T[:, :3, 3] - y @ R_bs.T, np.zeros(len(y), int), reach)
         if places is None:
             return None
         places = places.reshape(-1, 3)

@@ -82,7 +82,7 @@ class LinearProblem:
             rows=lineariser.rows,
             prediction=there.prediction,
             residual=there.residual,
-            columns_by_pose=lineariser.at(there).columns,
+            columns_by_pose=lineariser.at(there),
             given=tuple(given),
         )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
@@ -294,7 +294,7 @@ class ExtendedProblem:
     def at(self, noise: Noise) -> PoseSystem:
         """The whitened normal equations under a noise, stations eliminated."""
         poses = PoseInformation(self.weighted, self.columns, noise)
-        return PoseSystem(poses, Normal(self.weighted.rows, poses.normal_equations(), self.prior))
+        return PoseSystem(poses, Normal(self.weighted.rows, poses.products(), poses.right_hand_side(), self.prior))
 
 
 def with_terms(layout: ParameterLayout, effects: Sequence[Term]) -> ParameterLayout:

@@ -33,24 +33,6 @@ class EvaluatedEstimate:
     prior: Prior
 
 
-@dataclass(frozen=True)
-class Linearization:
-    """At one estimate. residual: (M, R). X: (P, B R, g + 7) columns of the g free parameters, of the pose's own station (6), and the
-    residual (1); J: (P, B R, n) of the joints; columns: the same without the products made."""
-
-    prediction: forward_model.Prediction
-    residual: np.ndarray
-    columns: PoseColumns
-
-    @cached_property
-    def X(self) -> np.ndarray:
-        return self.columns.dense
-
-    @cached_property
-    def J(self) -> np.ndarray:
-        return self.columns.basis @ self.columns.joints
-
-
 class Lineariser:
     """Evaluates residuals and columns of one recording; keeps what does not depend on the estimate.
 
@@ -116,7 +98,7 @@ class Lineariser:
         prior = prior_rows(self.obs.cell, self.layout, estimate, self.rows.stations)
         return EvaluatedEstimate(estimate, prediction, residual, self.rows.pad(self.weighted(residual)), prior)
 
-    def at(self, there: EvaluatedEstimate) -> Linearization:
+    def at(self, there: EvaluatedEstimate) -> PoseColumns:
         """The columns there."""
         chain, prediction = there.estimate.state.chain, there.prediction
         rows, f = self.rows, int(self.layout.blocks[0].free.sum() + self.layout.blocks[1].free.sum())
@@ -136,13 +118,7 @@ class Lineariser:
         beside, wide = self._beside(moved if as_twists else none, prediction, turn, as_twists)
         own = OwnColumns(turn, self.ball, self.free_balls, none if as_twists else beside)
         moved = beside if as_twists else moved
-        return Linearization(
-            prediction,
-            there.residual,
-            PoseColumns(
-                basis=basis, twists=moved, station=of_station, joints=jointly, own=own, residual=there.rows, by_rows=by_rows, wide=wide
-            ),
-        )
+        return PoseColumns(basis, moved, of_station, jointly, own, there.rows, by_rows=by_rows, wide=wide)
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_block import NormalBlocks
 from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
@@ -30,9 +29,18 @@ class Normal:
     that its data do not determine (two balls leave the rotation about their line) are excluded by a pseudo-inverse; station_rank: (S',).
     """
 
-    def __init__(self, rows: PoseRows, blocks: NormalBlocks, prior: Prior):
-        self.rows, self.size = rows, len(blocks.b)
-        Hss = blocks.Hss + prior.station_information
+    def __init__(
+        self,
+        rows: PoseRows,
+        products: tuple[np.ndarray, np.ndarray, np.ndarray],
+        right_hand_side: tuple[np.ndarray, np.ndarray, float],
+        prior: Prior,
+    ):
+        """products: H (g, g) of the columns, and of each station Hss (S', 6, 6), Hsg (S', 6, g); right_hand_side: b (g,), bs (S', 6) with
+        the residual, and its chi square. Both without the prior."""
+        H, Hss, Hsg = products
+        self.rows, self.size = rows, len(H)
+        Hss = Hss + prior.station_information
         scaled = STATION_SCALE[:, None] * Hss * STATION_SCALE
         value, vector = np.linalg.eigh(scaled)
         observable = value > UNOBSERVABLE * np.maximum(value[:, -1:], 1e-300)
@@ -40,10 +48,10 @@ class Normal:
         value = np.where(observable, value, 1.0)
         self.station_log_det = float(np.sum(np.log(value)))  # up to a constant
         self.station_root = STATION_SCALE[:, None] * vector * (observable / np.sqrt(value))[:, None, :]  # F F' = pseudo-inverse of Hss
-        self.reduced = np.swapaxes(self.station_root, 1, 2) @ blocks.Hsg  # F' Hsg
+        self.reduced = np.swapaxes(self.station_root, 1, 2) @ Hsg  # F' Hsg
         tall = self._tall
-        self.information = blocks.H + np.diag(1.0 / prior.sigma**2) - tall.T @ tall
-        self._set_right_hand_side(blocks.b, blocks.bs, blocks.chi2, prior)
+        self.information = H + np.diag(1.0 / prior.sigma**2) - tall.T @ tall
+        self._set_right_hand_side(*right_hand_side, prior)
 
     @property
     def _tall(self) -> np.ndarray:

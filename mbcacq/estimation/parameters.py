@@ -240,10 +240,14 @@ def arm_prior(cell: Cell, options: CalibrationOptions) -> ArmPrior | None:
     raise ConfigError(f"the prior knows no arm with the nominal geometry of '{cell.robot.name}' (it knows {known}); leave --prior out")
 
 
+def hand_eye_names(obs: Observations) -> tuple[str, ...]:
+    """Names of the parameters of the hand-eye transform, of several recordings of each."""
+    of = [""] if obs.n_recordings == 1 else [f"[{r + 1}]" for r in range(obs.n_recordings)]
+    return tuple(f"hand_eye{which}.{c}" for which in of for c in HAND_EYE)
+
+
 def _hand_eye(obs: Observations) -> ParameterBlock:
-    count = obs.n_recordings
-    of = [""] if count == 1 else [f"[{r + 1}]" for r in range(count)]
-    names = tuple(f"hand_eye{which}.{c}" for which in of for c in HAND_EYE)
+    count, names = obs.n_recordings, hand_eye_names(obs)
     units, scale = (("mm",) * 3 + ("rad",) * 3) * count, np.tile(PLAUSIBLE_HAND_EYE, count)
     block = ParameterBlock("hand_eye", names, units, np.ones(6 * count, bool), np.full(6 * count, np.inf), scale)
     if obs.cell.measurement == TARGET_IN_BASE:

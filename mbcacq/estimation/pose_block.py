@@ -10,7 +10,6 @@ where the joint noise is far above the scanner's. Own columns (``OwnColumns``: b
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -132,26 +131,26 @@ class PoseBlock:
         if self.columns.by_rows:
             W = self.whitened_basis
             station = W @ S
-            Hss = self.place.runs.products(station, station)
+            Hss = self.place.products(station, station)
             H[:f, :f], Hsg = self._products_by_rows(W, station)
         else:
             information = self.twist_information
             right, right_station = information @ A, information @ S
             H[:f, :f] = flat_product(A, right)
-            Hss, Hsg = (self.place.runs.products(S, one) for one in (right_station, right))
+            Hss, Hsg = (self.place.products(S, one) for one in (right_station, right))
         if e:
             own = np.swapaxes(self.F, 1, 2) * share @ self.own_twist
             H[:f, f:] = flat_product(A, own)
             H[f:, :f] = H[:f, f:].T
             H[f:, f:] = self.own.gram(self.precision) - flat_product(self.own_twist, self.N @ self.own_twist * share)
-            Hsg = np.concatenate([Hsg, self.place.runs.products(S, own)], axis=2)
+            Hsg = np.concatenate([Hsg, self.place.products(S, own)], axis=2)
         return (H + H.T) / 2, Hss, Hsg
 
     def _products_by_rows(self, W: np.ndarray, station: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Products of the twists with each other (f, f) and with the stations (S', 6, f). W: (P, u, u), ``whitened_basis``; station:
         (P, u, 6) whitened columns.
         """
-        A, wide, runs = self.columns.twists, self.columns.wide, self.place.runs
+        A, wide, runs = self.columns.twists, self.columns.wide, self.place
         if not wide:
             white = W @ A
             return flat_product(white, white), runs.products(station, white)  # a matrix with itself takes half of the time of another
@@ -178,7 +177,7 @@ class PoseBlock:
         if self.own.columns.size:
             rows = self.white_residual * (self.share[:, None, None] * np.sqrt(self.precision)[:, None])
             b = np.concatenate([b, self.own.product(rows).sum(axis=1)])
-        bs = self.place.runs.products(columns.station, rest)[..., 0]
+        bs = self.place.products(columns.station, rest)[..., 0]
         return b, bs, self._squares(self.white_residual, self.residual_joint)
 
     @cached_property
@@ -191,16 +190,3 @@ def flat_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """(k, m): sum over poses of left' right, left (P, u, k) and right (P, u, m)."""
     rows = left.shape[0] * left.shape[1]
     return left.reshape(rows, left.shape[2]).T @ right.reshape(rows, right.shape[2])
-
-
-@dataclass(frozen=True)
-class NormalBlocks:
-    """Normal equations of g parameters and 6 of each station. H (g, g), b (g,), chi2 of the residual; Hss (S', 6, 6), Hsg (S', 6, g),
-    bs (S', 6)."""
-
-    H: np.ndarray
-    b: np.ndarray
-    chi2: float
-    Hss: np.ndarray
-    Hsg: np.ndarray
-    bs: np.ndarray

@@ -14,20 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.pose_block import NormalBlocks, PoseBlock, WeightedBlock
+from mbcacq.estimation.pose_block import PoseBlock, WeightedBlock
 from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.whitening import PoseRows
-
-
-@dataclass(frozen=True)
-class OutlierDistances:
-    """Squared distances in sigma. centre: (M,) of each centre from where its pose, joints shifted to fit, expects it; pose: (P,) of each
-    pose from the model."""
-
-    centre: np.ndarray
-    pose: np.ndarray
-    centre_dof: int
-    pose_dof: np.ndarray
 
 
 class WeightedRows:
@@ -81,12 +70,6 @@ class PoseInformation:
         """Sum of squares of a residual (P, B R), whitened as this one."""
         return sum(block.chi2(residual[block.place.poses]) for block in self.blocks)
 
-    def normal_equations(self) -> NormalBlocks:
-        """Sums over all poses and over those of each station."""
-        H, Hss, Hsg = self.products()
-        b, bs, chi2 = self.right_hand_side()
-        return NormalBlocks(H, b, chi2, Hss, Hsg, bs)
-
     def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Products of the columns: H (g, g), and of each station Hss (S', 6, 6), Hsg (S', 6, g). Made once for all residuals."""
         if self._products is None:
@@ -110,8 +93,9 @@ class PoseInformation:
             chi2 += squares
         return b, bs, chi2
 
-    def outlier_distances(self) -> OutlierDistances:
-        """Distance of every centre and pose, rejected or not."""
+    def outlier_distances(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Squared distances in sigma, rejected or not: (M,) of each centre from where its pose, joints shifted to fit, expects it; (P,) of
+        each pose from the model, and its degrees of freedom."""
         rows, weight, pose = self.rows, self.weighted.weight, self.rows.pose_of_centre
         # The twist of each pose that its joints' noise explains best moves its rows by so much.
         explained = self.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0])
@@ -119,7 +103,7 @@ class PoseInformation:
         # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
         used = np.bincount(pose, remaining * weight, minlength=rows.n_poses)
         by_pose = used + rows.per_pose(self.by_pose(lambda of: np.einsum("pj,pj->p", of.residual_joint, of.residual_joint)))
-        return OutlierDistances(remaining, by_pose, rows.width, rows.width * np.bincount(pose, weight, minlength=rows.n_poses))
+        return remaining, by_pose, rows.width * np.bincount(pose, weight, minlength=rows.n_poses)
 
     def by_pose(self, of_block: Callable[[PoseBlock], np.ndarray]) -> np.ndarray:
         """(P, ...) in the order of ``PoseRows``, of the (P, ...) of each block."""
@@ -149,28 +133,29 @@ class Weights:
     pose: np.ndarray
 
 
-def reject_outliers(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:
-    """New weights, 0 or 1. pose: (M,) the pose of each centre. The worst of a pose is judged before its companions, which it spoils."""
-    n_poses = len(d.pose)
+def reject_outliers(poses: PoseInformation, weights: Weights) -> Weights:
+    """New weights, 0 or 1. The worst centre of a pose is judged before its companions, which it spoils."""
+    of_centre, of_pose, pose_dof = poses.outlier_distances()
+    pose, centre_dof, n_poses = poses.rows.pose_of_centre, np.array(float(poses.rows.width)), len(of_pose)
     count = np.bincount(pose, minlength=n_poses)
-    centre = np.ones(len(d.centre))
+    centre = np.ones(len(of_centre))
     displaced = np.zeros(n_poses, bool)
     companions = count[pose] > 1
     if companions.any():
         # The scale is that of all, rejected or not: a median of the survivors would shrink from round to round.
-        scale = max(np.median(d.centre[companions]) / chi2_quantile(np.array(float(d.centre_dof)), 0.0), 1e-300)
+        scale = max(np.median(of_centre[companions]) / chi2_quantile(centre_dof, 0.0), 1e-300)
         worst = np.zeros(n_poses)
-        np.maximum.at(worst, pose, d.centre)
-        off = companions & (d.centre > max(scale, 0.5) * chi2_quantile(np.array(float(d.centre_dof)), TAIL))
-        centre[off & (d.centre > 0.25 * worst[pose])] = 0.0
+        np.maximum.at(worst, pose, of_centre)
+        off = companions & (of_centre > max(scale, 0.5) * chi2_quantile(centre_dof, TAIL))
+        centre[off & (of_centre > 0.25 * worst[pose])] = 0.0
         # Where most of a pose is off, it is the pose that stands elsewhere.
         displaced = np.bincount(pose, centre == 0, minlength=n_poses) > 0.5 * count
         centre[displaced[pose]] = 1.0
     used = np.bincount(pose, centre, minlength=n_poses)
-    judged = d.pose_dof > 0
-    per_dof = d.pose / chi2_quantile(np.maximum(d.pose_dof, 1.0), 0.0)
+    judged = pose_dof > 0
+    per_dof = of_pose / chi2_quantile(np.maximum(pose_dof, 1.0), 0.0)
     scale = np.median(per_dof[judged]) if judged.any() else 1.0
-    out = judged & (d.pose > max(scale, 0.5) * chi2_quantile(np.maximum(d.pose_dof, 1.0), TAIL))
+    out = judged & (of_pose > max(scale, 0.5) * chi2_quantile(np.maximum(pose_dof, 1.0), TAIL))
     changed = np.bincount(pose, centre != weights.centre, minlength=n_poses) > 0
     # A pose whose centres were just judged anew gets its own verdict in the next round.
     return Weights(centre, np.where(displaced | (out & ~changed & (used > 0)), 0.0, 1.0))

@@ -14,10 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.estimation.linearization import EvaluatedEstimate, Lineariser, Linearization
+from mbcacq.estimation.linearization import EvaluatedEstimate, Lineariser
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import UNDETERMINED, Estimate, ParameterLayout
+from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.pose_information import PoseInformation, Weights
 from mbcacq.estimation.variance_components import log_restricted_posterior, pack, reml_score_and_information, unpack
 from mbcacq.estimation.whitening import Whitening
@@ -39,22 +40,33 @@ class SolverStep:
 class Solution:
     """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows.
 
-    lineariser: of the recording and its parameters. origin: estimate at which the residual was evaluated. step: what led from there here
-    within the linear problem; None where the residual is that of the estimate itself. turned: rad, at most, of any rotation since the
-    columns were made.
+    lineariser: of the recording and its parameters. there: where the residual was evaluated. poses, normal: by the columns and under the
+    noise and weights. step: what led from there here within the linear problem; None where the residual is that of the estimate itself.
+    turned: rad, at most, of any rotation since the columns were made.
     """
 
     lineariser: Lineariser
-    origin: Estimate
-    linear: Linearization
+    there: EvaluatedEstimate
     poses: PoseInformation
     normal: Normal
-    prior: Prior
     noise: Noise
     weights: Weights
     iterations: int
     turned: float = 0.0
     step: SolverStep | None = None
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(M, R)."""
+        return self.there.residual
+
+    @property
+    def prior(self) -> Prior:
+        return self.there.prior
+
+    @property
+    def columns(self) -> PoseColumns:
+        return self.poses.columns
 
     @property
     def exact(self) -> bool:
@@ -74,9 +86,9 @@ class Solution:
     @cached_property
     def estimate(self) -> Estimate:
         if self.step is None:
-            return self.origin
+            return self.there.estimate
         lineariser, step = self.lineariser, self.step
-        return self.origin.moved(lineariser.layout, step.parameters, step.stations, lineariser.rows.stations)
+        return self.there.estimate.moved(lineariser.layout, step.parameters, step.stations, lineariser.rows.stations)
 
     @property
     def cost(self) -> float:
@@ -88,17 +100,17 @@ class Solution:
 
     @cached_property
     def whitening(self) -> Whitening:
-        return Whitening(self.normal.rows, self.linear.J, self.noise, self.weights.centre, self.weights.pose)
+        return Whitening(self.normal.rows, self.columns.of_joints, self.noise, self.weights.centre, self.weights.pose)
 
     @cached_property
     def X(self) -> np.ndarray:
-        return self.whitening(self.linear.X)
+        return self.whitening(self.columns.dense)
 
     @property
     def whitened_residual(self) -> np.ndarray:
         """(M, R) of unit variance."""
         rows = self.normal.rows
-        return rows.unpad(self.whitening(self.linear.columns.residual[..., None]))[..., 0]
+        return rows.unpad(self.whitening(self.columns.residual[..., None]))[..., 0]
 
     def reweighted(self, noise: Noise, weights: Weights) -> Solution:
         """The system with other noise or weights, at the estimate where the residual was evaluated."""
@@ -106,35 +118,35 @@ class Solution:
             return self
         at = self if self.step is None else self.step.start
         poses = at.poses_under(noise, weights)
-        normal = Normal(self.lineariser.rows, poses.normal_equations(), at.prior)
+        normal = Normal(self.lineariser.rows, poses.products(), poses.right_hand_side(), at.prior)
         return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
 
     def poses_under(self, noise: Noise, weights: Weights) -> PoseInformation:
         """The poses of an exact solution with other noise or weights."""
         if weights is self.weights:
             return self.poses.with_noise(noise)
-        return PoseInformation.of(self.lineariser.rows, self.linear.columns, noise, weights.centre, weights.pose)
+        return PoseInformation.of(self.lineariser.rows, self.columns, noise, weights.centre, weights.pose)
 
     def with_priors(self, layout: ParameterLayout) -> Solution:
         """The system with other priors of the same parameters, at the estimate where the residual was evaluated."""
         at = self if self.step is None else self.step.start
         lineariser = at.lineariser.with_layout(layout)
-        prior = replace(at.prior, sigma=layout.sigma)
-        return replace(at, lineariser=lineariser, prior=prior, normal=at.normal.with_prior(prior, at.prior))
+        there = replace(at.there, prior=replace(at.prior, sigma=layout.sigma))
+        return replace(at, lineariser=lineariser, there=there, normal=at.normal.with_prior(there.prior, at.prior))
 
     def stepped(self, step: np.ndarray) -> Solution:
         """The same linear problem after a step (g,) of the parameters and the best stations; of an exact solution."""
         rows, station_step = self.lineariser.rows, self.normal.station_step(step)
         residual = self.poses.residual_after(step, station_step)
-        columns = replace(self.linear.columns, residual=residual)
-        return replace(
-            self,
-            linear=replace(self.linear, residual=self.lineariser.unweighted(rows.unpad(residual)), columns=columns),
-            poses=self.poses.with_residual(columns),
-            normal=self.normal.after(step),
-            prior=replace(self.prior, offset=self.prior.offset + step, station_offset=self.prior.station_offset + station_step),
-            step=SolverStep(self, step, station_step),
+        offset, station_offset = self.prior.offset + step, self.prior.station_offset + station_step
+        there = replace(
+            self.there,
+            residual=self.lineariser.unweighted(rows.unpad(residual)),
+            rows=residual,
+            prior=replace(self.prior, offset=offset, station_offset=station_offset),
         )
+        poses = self.poses.with_residual(replace(self.columns, residual=residual))
+        return replace(self, there=there, poses=poses, normal=self.normal.after(step), step=SolverStep(self, step, station_step))
 
     def evaluated(self) -> Solution:
         """The system with the residual at its estimate; its columns are made anew where a rotation since they were made is not small."""
@@ -148,45 +160,21 @@ class Solution:
         """The system at another estimate, under the same noise and weights. turned: rad, at most, of any rotation since the columns were
         made; within ``reuse`` they stay as they are."""
         if turned >= reuse:
-            linear = self.lineariser.at(there)
-            return _whitened(self.lineariser, there, linear, self.noise, self.weights, iterations)
-        columns = replace(self.linear.columns, residual=there.rows)
-        poses = self.poses.with_residual(columns)
-        return replace(
-            self,
-            origin=there.estimate,
-            linear=Linearization(there.prediction, there.residual, columns),
-            poses=poses,
-            normal=self.normal.with_right_hand_side(*poses.right_hand_side(), there.prior),
-            prior=there.prior,
-            turned=turned,
-            step=None,
-            iterations=iterations,
-        )
+            return _whitened(self.lineariser, there, self.noise, self.weights, iterations)
+        poses = self.poses.with_residual(replace(self.columns, residual=there.rows))
+        normal = self.normal.with_right_hand_side(*poses.right_hand_side(), there.prior)
+        return replace(self, there=there, poses=poses, normal=normal, turned=turned, step=None, iterations=iterations)
 
 
 def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights) -> Solution:
     """The whitened normal equations at an estimate."""
-    there = lineariser.evaluate(estimate)
-    linear = lineariser.at(there)
-    return _whitened(lineariser, there, linear, noise, weights, 0)
+    return _whitened(lineariser, lineariser.evaluate(estimate), noise, weights, 0)
 
 
-def _whitened(
-    lineariser: Lineariser, there: EvaluatedEstimate, linear: Linearization, noise: Noise, weights: Weights, iterations: int
-) -> Solution:
-    poses = PoseInformation.of(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
-    return Solution(
-        lineariser=lineariser,
-        origin=there.estimate,
-        linear=linear,
-        poses=poses,
-        normal=Normal(lineariser.rows, poses.normal_equations(), there.prior),
-        prior=there.prior,
-        noise=noise,
-        weights=weights,
-        iterations=iterations,
-    )
+def _whitened(lineariser: Lineariser, there: EvaluatedEstimate, noise: Noise, weights: Weights, iterations: int) -> Solution:
+    poses = PoseInformation.of(lineariser.rows, lineariser.at(there), noise, weights.centre, weights.pose)
+    normal = Normal(lineariser.rows, poses.products(), poses.right_hand_side(), there.prior)
+    return Solution(lineariser, there, poses, normal, noise, weights, iterations)
 
 
 def largest_rotation(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> float:

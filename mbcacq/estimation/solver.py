@@ -42,8 +42,7 @@ def robust_solve(start: Solution, tolerance: float, reuse: float = LINEAR_ROTATI
     solution = solve(start, tolerance=tolerance, within_linear=True, reuse=reuse)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
         before = solution.weights
-        distances = solution.poses.outlier_distances()
-        weights = reject_outliers(distances, before, lineariser.obs.pose)
+        weights = reject_outliers(solution.poses, before)
         if np.array_equal(weights.centre, before.centre) and np.array_equal(weights.pose, before.pose):
             break
         if np.mean(weights.pose == 0) > REJECTED_SHARE or np.mean(weights.centre == 0) > REJECTED_SHARE:
@@ -94,7 +93,7 @@ def solve(
         turned = now.turned + share * largest_rotation(layout, step, station_step)
         if within_linear and not damping and promised - taken < LINEAR_DECREASE and turned < LINEAR_ROTATION:
             return now.stepped(step)
-        candidate = now.origin.moved(layout, share * step, share * station_step, lineariser.rows.stations)
+        candidate = now.there.estimate.moved(layout, share * step, share * station_step, lineariser.rows.stations)
         there = lineariser.evaluate(candidate)
         # The weights depend weakly on the estimate; a step is judged by those it was computed with.
         cost = now.poses.chi2(there.rows) + there.prior.cost

@@ -46,9 +46,17 @@ class Steps:
     @property
     def log_bayes_factor(self) -> np.ndarray:
         """(T,) mean over ``SIZES``."""
+        return np.where(self.rank > 0, logsumexp(self._by_size(slice(None)), axis=0) - np.log(len(SIZES)), -np.inf)
+
+    def shrinkage(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Posterior mean, at moments, of the factor g / (1 + g) by which the prior draws a step to zero, and of its square."""
+        each, factor = self._by_size(at), np.array(SIZES) / (1 + np.array(SIZES))
+        share = np.exp(each - logsumexp(each, axis=0))
+        return factor @ share, factor**2 @ share
+
+    def _by_size(self, at: slice | np.ndarray) -> np.ndarray:
         g = np.array(SIZES)[:, None]
-        each = 0.5 * self.gain * g / (1 + g) - 0.5 * self.rank * np.log1p(g)
-        return np.where(self.rank > 0, logsumexp(each, axis=0) - np.log(len(SIZES)), -np.inf)
+        return 0.5 * self.gain[at] * g / (1 + g) - 0.5 * self.rank[at] * np.log1p(g)
 
     def estimate(self, t: int) -> tuple[np.ndarray, np.ndarray]:
         """Step (k,) at a moment and its covariance (k, k)."""

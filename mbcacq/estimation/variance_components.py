@@ -161,7 +161,7 @@ class _BlockScore:
         own = [by_image, flat_product(block.own_twist, np.swapaxes(block.K @ Jt * b[..., None], 1, 2))]
         twist, own = (np.concatenate([x[..., :3], x[..., 4:], x[..., 3:4]], axis=-1) for x in (twist, np.concatenate(own, axis=1)))
         self.by_parameter = np.concatenate([flat_product(block.columns.twists, twist), own])
-        self.by_station = block.place.runs.products(block.columns.station, twist)
+        self.by_station = block.place.products(block.columns.station, twist)
 
 
 class _BlockVariance:
@@ -171,7 +171,7 @@ class _BlockVariance:
     def __init__(self, block: PoseBlock, normal: Normal, root: np.ndarray):
         self.block, columns = block, block.columns
         f = normal.size - columns.own.size
-        stations, runs = block.place.stations, block.place.runs
+        stations, runs = block.place.stations, block.place
         y = runs.times(columns.station, normal.station_root[stations])
         x = runs.times(y, -normal.reduced[stations])
         x[..., :f] += columns.twists

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,11 +16,12 @@ from mbcacq.model.observations import Observations
 ROWS_AT_ONCE = 12000  # 500 poses with eight balls; fewer cost more calls than they save
 
 
-class StationRuns:
-    """Stations as runs of P consecutive poses. first: (S',) first pose of each."""
+class RowsBlock:
+    """P consecutive poses, and of the stations in use those that they are at, as runs of these poses. first: (S',) first pose of each."""
 
-    def __init__(self, first: np.ndarray, n_poses: int):
-        self.first, self.end, self.n_poses = first, np.append(first[1:], n_poses), n_poses
+    def __init__(self, poses: slice, stations: slice, first: np.ndarray):
+        self.poses, self.stations, self.first = poses, stations, first
+        self.end = np.append(first[1:], poses.stop - poses.start)
         length = self.end - first
         self.even = bool(np.all(length == length[0]))
 
@@ -47,15 +47,6 @@ class StationRuns:
         for s, (start, end) in enumerate(zip(u * self.first, u * self.end, strict=True)):
             np.matmul(a[start:end], right[s], out=out[start:end])
         return out.reshape(P, u, m)
-
-
-@dataclass(frozen=True)
-class RowsBlock:
-    """Consecutive poses, and of the stations in use those that they are at, as runs of these poses."""
-
-    poses: slice
-    stations: slice
-    runs: StationRuns
 
 
 class PoseRows:
@@ -94,8 +85,7 @@ class PoseRows:
             if end < self.n_poses and self.first[self.run[end]] > start:
                 end = int(self.first[self.run[end]])  # whole stations, but of a station that is longer than a block
             stations = slice(self.run[start], self.run[end - 1] + 1)
-            runs = StationRuns(np.maximum(self.first[stations] - start, 0), end - start)
-            blocks.append(RowsBlock(slice(start, end), stations, runs))
+            blocks.append(RowsBlock(slice(start, end), stations, np.maximum(self.first[stations] - start, 0)))
             start = end
         return blocks
 

@@ -160,8 +160,12 @@ def _kabsch(a: np.ndarray, b: np.ndarray, weight: np.ndarray, group: np.ndarray,
     return nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3)), ca, cb
 
 
-def least_distances(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np.ndarray | None:
-    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None where undetermined."""
+def least_distances(columns: np.ndarray, target: np.ndarray, group: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray | None:
+    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None where undetermined.
+
+    sigma: prior standard deviation of each unknown about zero, inf for none. An unknown that has one is never undetermined.
+    """
+    ridge = 0.0 if sigma is None else sigma**-2.0
     count = group.max(initial=0) + 1
     weight = np.ones(len(columns))
     x = None
@@ -169,6 +173,7 @@ def least_distances(columns: np.ndarray, target: np.ndarray, group: np.ndarray) 
         A, b = _centred(columns, weight, group, count), _centred(target, weight, group, count)
         flat = (A * weight[:, None, None]).reshape(-1, A.shape[2])
         normal = flat.T @ A.reshape(-1, A.shape[2])
+        normal[np.diag_indices_from(normal)] += ridge
         scale = np.sqrt(np.diag(normal))
         if not np.all(scale > 0):
             return None

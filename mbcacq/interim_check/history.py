@@ -111,7 +111,7 @@ def read_history(path: Path) -> CheckHistory | None:
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; make it readable, or give another --history") from error
     advice = "give another --history, or move this file away to begin anew"
-    content = unsealed(read_json(text, str(path), advice), path)
+    content = unsealed(read_json(text, str(path), advice), path, "take its copy from a backup, move it away to begin anew")
     history = from_document(CheckHistory, content, FORMAT, str(path), "history of checks", advice)
     if len(history.q) != len(history.poses):
         raise damaged(str(path), f"{len(history.q)} rows of joint angles for {len(history.poses)} poses", advice)

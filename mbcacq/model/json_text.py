@@ -263,9 +263,9 @@ def sealed_text(content: Mapping[str, Any]) -> str:
     return json.dumps({**plain, SEAL: _digest(plain)}, indent=1)
 
 
-def unsealed(content: Any, file: Path) -> Any:
+def unsealed(content: Any, file: Path, cure: str = "write it anew with mbcacq calibrate --out") -> Any:
     """The content that was read, without its checksum; one without a checksum, of an earlier version or another program, is believed.
-    Raises ConfigError where the checksum does not hold."""
+    Raises ConfigError with the cure where the checksum does not hold."""
     if not isinstance(content, dict) or SEAL not in content:
         return content
     plain = {key: value for key, value in content.items() if key != SEAL}
@@ -275,8 +275,7 @@ def unsealed(content: Any, file: Path) -> Any:
         same = False
     if not same:
         raise ConfigError(
-            f"{file} is not as it was written: bits changed, or it was edited; write it anew with mbcacq calibrate --out, "
-            f"or remove its '{SEAL}' to use it as it is"
+            f"{file} is not as it was written: bits changed, or it was edited; {cure}, or remove its '{SEAL}' to use it as it is"
         )
     return plain
 

@@ -70,6 +70,10 @@ def _load_observations(path: Path) -> Observations:
         from mbcacq.recording.rrd.reader import read_observations
 
         return read_observations(path)
+    if path.is_dir() and any((path / name).exists() for name in ("result.json", "journal.jsonl", "recording.json")):
+        raise ConfigError(f"{path} is a run folder without its recording run.rrd: copied by half, or moved; copy the whole folder again")
+    if path.is_dir() and (below := sorted(each.name for each in path.iterdir() if _is_recording(each))):
+        raise ConfigError(f"{path} is a folder of {len(below)} runs, not a run; give one of them, such as {path / below[-1]}")
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
 
 

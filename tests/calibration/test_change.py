@@ -56,6 +56,34 @@ def test_of_an_undisturbed_recording_nothing_is_said(seed):
     assert change_in(cell_of(100 + seed).observations) is None
 
 
+def largest_z(found, true):
+    """Of the six numbers of the hand-eye, in stated standard deviations, against the nearest of the true transforms."""
+    std = np.sqrt(np.diag(found.covariance)[[found.names.index(f"hand_eye.{c}") for c in ("x", "y", "z", "rx", "ry", "rz")]])
+    off = [np.linalg.inv(found.state.T_flange_scanner) @ T for T in true]
+    return min(np.abs(np.concatenate([D[:3, 3], se3.rotation_log(D[:3, :3])]) / std).max() for D in off)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_slip_about_as_large_as_the_noise_is_named_or_in_the_stated_uncertainty(seed):
+    """Without the average over changes four of these six are beyond three standard deviations."""
+    cell = cell_of(seed)
+    obs, after = slipped(cell, 24, mm=0.008)
+    found = calibrate(obs, HAND_EYE_ALONE)
+    assert largest_z(found, (cell.truth.T_flange_scanner, after)) < 3
+    assert ("change" in found.extra) <= (found.extra.get("change_probability", 0) > 0.9)
+
+
+def test_a_ball_that_moved_so_far_that_its_centres_are_rejected_is_named():
+    cell = cell_of(6)
+    balls = cell.truth.balls.copy()
+    balls[4] += [0.4, 0, 0]
+    obs = remeasured(cell, replace(cell.truth, balls=balls), 30)
+    fitted = adjust_recording(obs, HAND_EYE_ALONE)
+    assert np.sum(fitted.weights.centre == 0) > 10
+    change = found_change(fitted)
+    assert (change.kind, change.where, change.nth) == ("ball", "5", 31)
+
+
 def test_an_encoder_that_jumped_is_named_by_its_axis():
     cell = cell_of(5)
     errors = np.zeros((6, 5))

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import measure, scanner_cell
+from cells import measure, scanner_cell, tracker_cell
 from click.testing import CliRunner
+from scipy.optimize import least_squares
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation import forward_model
+from mbcacq.estimation.initial_guess import start
 from mbcacq.estimation.options import CalibrationOptions
 
 NOISE = (0.005, 0.005, 0.009)
@@ -175,3 +178,27 @@ def test_the_command_ends_with_its_own_exit_code(cell, tmp_path):
     assert rows["maximum likelihood"]["fit_mm"] is None
     assert "one station" in rows["maximum likelihood"]["why"]
     assert CliRunner().invoke(app, ["calibrate", str(tmp_path / "station")]).exit_code == 7
+
+
+def test_a_grid_in_one_orientation_puts_the_tracker_where_it_stands():
+    """The place of the target on the flange stays open, so the tracker is off by its distance from the flange at most: 97 mm, not by what
+    rounding of joint angles to 1e-6 deg makes of it."""
+    made = tracker_cell(np.random.default_rng(0), poses=20, orientation=True)
+    chain, first = made.observations.cell.robot.chain, np.array([0.1, -1.2, 1.5, 0.2, 0.8, 0.3])
+    T = chain.flange(first[None])[0]
+    corners = T[:3, 3] + 250.0 * np.random.default_rng(1).uniform(-1, 1, (20, 3))
+
+    def off(q, place):
+        at = chain.flange(q[None])[0]
+        return np.concatenate([at[:3, 3] - place, 500.0 * (at[:3, :3] - T[:3, :3]).ravel()])
+
+    q = np.array([least_squares(off, first, args=(place,), xtol=1e-15, ftol=1e-15, gtol=1e-15).x for place in corners])
+    q = np.radians(np.round(np.degrees(q), 6))
+    state = replace(made.truth, chain=chain)
+    blank = replace(made.observations, q=q)
+    seen = forward_model.predict(blank, state)
+    noisy = seen.xyz + np.random.default_rng(2).normal(0, 0.02, (20, 3))
+    begun = start(replace(blank, xyz=noisy, rotation=seen.rotation))
+    away = np.linalg.norm(begun.T_base_station[0, :3, 3] - state.T_base_station[0, :3, 3])
+    assert away < np.linalg.norm([30.0, -20, 90]) + 1.0
+    assert np.abs(begun.T_base_station[0, :3, :3] - state.T_base_station[0, :3, :3]).max() < 5e-4

@@ -120,7 +120,7 @@ def test_first_guess_may_be_far_off(cell):
 
 
 def test_order_of_poses_and_stations_does_not_matter(cell):
-    obs = cell.observations
+    obs = replace(cell.observations, time_s=np.arange(float(cell.observations.n_poses)))
     rng = np.random.default_rng(8)
     order, relabel = rng.permutation(obs.n_poses), rng.permutation(len(obs.cell.stations))
     place = np.argsort(order)
@@ -133,6 +133,7 @@ def test_order_of_poses_and_stations_does_not_matter(cell):
         station=inverse[obs.station[order]],
         q=obs.q[order],
         phase=obs.phase[order],
+        time_s=obs.time_s[order],
         pose=place[obs.pose][rows],
         ball=obs.ball[rows],
         xyz=obs.xyz[rows],

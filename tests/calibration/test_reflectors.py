@@ -60,7 +60,7 @@ def test_columns_are_derivatives_of_what_is_measured(orientation):
     lineariser = Lineariser(obs, layout, options)
     at, still = parameters.Estimate(truth), np.zeros((1, 6))
     assert layout.blocks[2].free.all()
-    columns = lineariser.rows.unpad(lineariser.at(lineariser.evaluate(at)).X)
+    columns = lineariser.rows.unpad(lineariser.at(lineariser.evaluate(at)).dense)
     for j, name in enumerate(layout.names):
         step = 1e-4 * (np.arange(layout.size) == j)
         ends = [lineariser.evaluate(at.moved(layout, s * step, still)).residual for s in (-1, 1)]

@@ -10,7 +10,6 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.pose_block import NormalBlocks
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import NOISE_GAIN, most_probable_noise, solve
@@ -38,9 +37,8 @@ def test_columns_of_every_parameter_are_derivatives(kind):
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = Estimate(cell.truth, (np.zeros(2),))
-    linear = lineariser.at(lineariser.evaluate(at))
     g = layout.size
-    columns = lineariser.rows.unpad(linear.X)
+    columns = lineariser.rows.unpad(lineariser.at(lineariser.evaluate(at)).dense)
     stations = len(cell.truth.T_base_station)
     for j, name in enumerate(layout.names):
         step = np.zeros(g)
@@ -77,7 +75,7 @@ def test_whitening_is_the_inverse_covariance_of_each_pose(kind):
     np.testing.assert_allclose(solution.whitening.transpose(identity), np.swapaxes(W, 1, 2), rtol=1e-9, atol=1e-9)
     sigma2 = np.tile(noise.row_sigma(rows.width) ** 2, rows.depth)
     for p in range(obs.n_poses):
-        J = solution.linear.J[p] * noise.joint
+        J = solution.columns.of_joints[p] * noise.joint
         weight = np.repeat(weights.centre[obs.pose == rows.order[p]], rows.width)
         covariance = (np.diag(sigma2 / weight) + J @ J.T) / weights.pose[rows.order[p]]
         np.testing.assert_allclose(inverse[p] @ covariance, np.eye(len(covariance)), atol=1e-7)
@@ -160,13 +158,13 @@ def normal_of_rows(rows, X, prior):
     g = X.shape[2] - 7
     whole = np.einsum("pmi,pmj->ij", X, X)
     shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
-    blocks = NormalBlocks(whole[:g, :g], whole[:g, -1], whole[-1, -1], shared[..., g : g + 6], shared[..., :g], shared[..., g + 6])
-    return Normal(rows, blocks, prior)
+    products = whole[:g, :g], shared[..., g : g + 6], shared[..., :g]
+    return Normal(rows, products, (whole[:g, -1], shared[..., g + 6], whole[-1, -1]), prior)
 
 
 def dense_noise_score(at):
     """Gradient and average information by the log sigmas, from the covariance matrix V of all rows and the formulas of the textbook."""
-    rows, noise, X, J = at.normal.rows, at.noise, at.linear.X, at.linear.J
+    rows, noise, X, J = at.normal.rows, at.noise, at.columns.dense, at.columns.of_joints
     g, (P, m) = at.normal.size, X.shape[:2]
     used = (at.whitening.scale[..., 0] > 0).reshape(-1)
     columns = np.zeros((P, m, g + 6 * len(rows.stations)))
@@ -221,9 +219,9 @@ def test_blocks_of_poses_give_what_all_poses_at_once_give(kind, part, monkeypatc
         sizes = np.sqrt(np.diag(at.normal.information))
         scores = variance_components.reml_score_and_information(at.system, at.noise)
         found = at.normal.information / np.outer(sizes, sizes), at.normal.gradient / sizes, moved.step.stations, *scores
-        chi2 = at.poses.chi2(moved.linear.columns.residual)
-        found = *found, at.cost, at.poses.log_det, chi2, moved.linear.residual, at.poses.right_hand_side()[1]
-        return len(at.poses.blocks), at.linear.columns.residual.size, found
+        chi2 = at.poses.chi2(moved.columns.residual)
+        found = *found, at.cost, at.poses.log_det, chi2, moved.residual, at.poses.right_hand_side()[1]
+        return len(at.poses.blocks), at.columns.residual.size, found
 
     count, rows, whole = of_blocks()
     assert count == 1
@@ -248,7 +246,7 @@ def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(k
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(6))
     step = 1e-3 * at.normal.gauss_newton_step(lineariser.layout.scale, 1e-3)
     there = at.stepped(step)
-    again = Normal(lineariser.rows, there.poses.normal_equations(), there.prior)
+    again = Normal(lineariser.rows, there.poses.products(), there.poses.right_hand_side(), there.prior)
     size = np.sqrt(np.diag(again.information))
     np.testing.assert_allclose(there.normal.gradient / size, again.gradient / size, rtol=0, atol=1e-8 * np.sqrt(at.cost))
     np.testing.assert_allclose(there.cost, again.cost, rtol=1e-9)
@@ -298,8 +296,8 @@ def test_columns_are_kept_while_nothing_turns_and_made_anew_otherwise():
     for there, kept in ((near, True), (far, False)):
         again = there.evaluated()
         assert again.exact
-        assert (again.linear.columns.basis is at.linear.columns.basis) == kept
-        np.testing.assert_allclose(again.linear.residual, lineariser.evaluate(again.estimate).residual, rtol=0, atol=1e-12)
+        assert (again.columns.basis is at.columns.basis) == kept
+        np.testing.assert_allclose(again.residual, lineariser.evaluate(again.estimate).residual, rtol=0, atol=1e-12)
         normal = system(lineariser, again.estimate, at.noise, at.weights).normal
         np.testing.assert_allclose(again.cost, normal.cost, rtol=1e-7)
 

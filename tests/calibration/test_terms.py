@@ -90,15 +90,14 @@ def test_products_of_many_functions_of_one_direction_are_those_of_their_columns(
     several = (*several, term("other", [Part("joint", 0, 0, rng.normal(size=(80, WIDE + 1)))], sigma=1.0))
     options = CalibrationOptions(terms=several)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
-    found = lineariser.at(lineariser.evaluate(parameters.Estimate(cell.truth, tuple(np.zeros(t.size) for t in several)))).columns
+    found = lineariser.at(lineariser.evaluate(parameters.Estimate(cell.truth, tuple(np.zeros(t.size) for t in several))))
     noise = Noise(np.full(3, 0.02), np.full(6, 1e-5), 1e-4)
 
-    products = [
-        PoseInformation.of(lineariser.rows, columns, noise, rng.integers(0, 2, obs.n_centres).astype(float), np.ones(80)).normal_equations()
+    poses = [
+        PoseInformation.of(lineariser.rows, columns, noise, rng.integers(0, 2, obs.n_centres).astype(float), np.ones(80))
         for rng, columns in ((np.random.default_rng(3), found), (np.random.default_rng(3), replace(found, wide=())))
     ]
 
     assert len(found.wide) == 2
-    for name in ("H", "b", "Hss", "Hsg", "bs"):
-        one, other = (getattr(p, name) for p in products)
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max(), err_msg=name)
+    for one, other in zip(*((*p.products(), *p.right_hand_side()) for p in poses), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())

@@ -9,6 +9,7 @@ from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal, norm
 
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.between_sets import likeness
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.moments import sizes_with, with_others
@@ -21,11 +22,12 @@ from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors, log_set_baye
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.estimation.variance_components import pack
 
 SIZES = np.array([0.3, 1.0, 3.0])
 
 
-GEAR, ELASTIC = ("gear_transmission_error", ("A1",)), ("joint_compliance", ("A2",))
+GEAR, ELASTIC, BASE = ("gear_transmission_error", ("A1",)), ("joint_compliance", ("A2",)), ("base_compliance", ("base",))
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +192,31 @@ def test_every_effect_has_alternatives_with_their_odds(small):
 def test_alternatives_of_parallel_joints_name_the_other_joint(small):
     fit = fit_evidence(prepare(simulated.observe(small, 33, [("joint_scale", ("A2",), [2e-4], None)])))
     assert "joint_scale:A3" in alternatives_of(fit, fit.best, "joint_scale:A2")
+
+
+def test_what_two_sets_explain_is_alike_by_the_dense_covariance_of_the_rows(small):
+    """The elasticity of A2 against that of the base: coefficients, and the correlation of what both explain beyond the geometry, from
+    the normal equations of the evidence and from the matrix of all whitened rows.
+    """
+    setup = prepare(simulated.observe(small, 34, [(*ELASTIC, [4e-6], None)]))
+    point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
+    one, other = (Member(next(c for c in setup.candidates if (c.name, c.where) == of), None) for of in (ELASTIC, BASE))
+    ours, theirs = point.solved([one]), point.solved([other])
+
+    whiten, (columns, sigma) = setup.linear.whitener(setup.noise), setup.linear.nuisance()
+    Z, r = whiten(columns * sigma), whiten(setup.linear.residual[..., None])[:, 0]
+    rows, nothing = np.concatenate([Z, np.eye(len(sigma))]), np.zeros(len(sigma))  # a row for each prior
+
+    def left(y):
+        return y - Z @ np.linalg.lstsq(rows, np.r_[y, nothing], rcond=None)[0]
+
+    X = [whiten(candidate_columns(setup.linear, m.candidate, None) * m.candidate.typical) for m in (one, other)]
+    found = [(x[:, 0] @ left(r)) / (x[:, 0] @ left(x[:, 0]) + 1.0) for x in X]
+    assert ours.coefficients == pytest.approx(found[0] * one.candidate.typical, rel=1e-6)
+    a, b = (x[:, 0] * c for x, c in zip(X, found, strict=True))
+    expected = abs(a @ left(b)) / np.sqrt((a @ left(a)) * (b @ left(b)))
+    assert 0.3 < expected < 0.999
+    assert likeness(Hypothesis((one,), point, 0.0), ours, theirs) == pytest.approx(expected, rel=1e-6)
 
 
 def test_nineteen_of_twenty_true_sizes_are_below_their_limit(small):

@@ -19,7 +19,7 @@ from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import all_but, split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements
@@ -177,7 +177,7 @@ def test_what_does_not_predict_held_out_poses_explains_nothing(plan):
     alike = PredictiveScore(square=0.1, count=100, chi2=400.0, dof=300.0)
     useless = CrossValidation(alike, alike, "block", dict.fromkeys(fit.model.names, alike))
 
-    found = conclude(problem, judge(problem, fit, useless))
+    found = conclude(problem, fit, useless)
 
     assert [e.trend for e in found.effects] == ["held-out data are predicted as well without it"]
     assert found.verdict == "cannot_tell"

@@ -37,4 +37,4 @@ def test_an_arm_whose_zeros_are_two_degrees_off_is_still_this_arm(plan):
     obs = simulated.observe(plan, 7)
     offset = np.radians(2.0) * np.array([1, -1, 1, 1, -1, 1])
     adjusted = adjust_recording(replace(obs, q=obs.q + offset), CalibrationOptions(refuse=False))
-    assert np.std(adjusted.solution.linear.residual[adjusted.used]) < 0.02
+    assert np.std(adjusted.solution.residual[adjusted.used]) < 0.02

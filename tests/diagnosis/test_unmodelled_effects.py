@@ -20,7 +20,7 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.validation import cross_validation
-from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import parts_of
@@ -93,7 +93,7 @@ def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
 def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     setup = prepare(simulated.observe(plan, 121, [twist_of_link_two_that_saturates]))
     full = model_fit.fit_model(setup)
-    reported = conclude(setup, judge(setup, full, cross_validation.cross_validate(setup, full, folds=2)))
+    reported = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
 
     assert reported.verdict == "unexplained"
     assert reported.mismatch[0].at == "link2"

@@ -139,6 +139,19 @@ def test_friction_grows_with_the_actual_load_not_with_the_described_one():
         assert abs(found.value - true) < 3 * found.std
 
 
+def test_what_gives_energy_is_no_friction():
+    """A torque that is recorded with a wrong share of the speed: it has the form of friction, and drives the arm."""
+    result = diagnose_trajectories([recording(k, coulomb=-4.0, viscous=-6.0) for k in (1, 2)], cross_validation=False)
+    assert "friction" not in {name for name, *_ in named(result)}
+    of_speed = {e.where: e for e in result.effects if e.name == "unknown"}
+    assert {("A1",), ("A2",)} <= set(of_speed)
+    one = of_speed["A1",]
+    assert one.depends_on == "qd1"
+    assert max(abs(y) for y in one.shape.y) == pytest.approx(4.0 + 6.0 * max(abs(x) for x in one.shape.x), rel=0.15)
+    assert result.verdict == "unexplained"
+    assert any(said.startswith("friction at A1 fits and is refused as a name") for said in result.suspicions)
+
+
 def test_backlash_is_crossed_in_a_time_of_its_own():
     result = diagnose_trajectories([recording(k, clearance=1e-4, flank_s=0.012) for k in (1, 2)], cross_validation=False)
     width = value(result, "backlash", "A1.width_deg")

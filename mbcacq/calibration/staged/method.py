@@ -129,7 +129,7 @@ def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCel
         coefficients=(),
         station_covariance=np.zeros((len(obs.cell.stations), 6, 6)),
         weights=weights,
-        residual=at.linear.residual,
+        residual=at.residual,
         whitened=whitened,
         chi2=float(np.sum(whitened**2)),
         dof=whitened.size - rank,

@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.between_sets import pairs_not_separable
 from mbcacq.diagnosis.findings import Advice, NotSeparable
+from mbcacq.diagnosis.motion.allowed_names import refused_name, response_shape
 from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
@@ -75,12 +76,17 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
     effects: list[EffectFound] = []
     mismatch: list[MismatchEntry] = []
     channels: list[ChannelFit] = []
+    refused = False
     for fit in fits:
         table = HeldOutTable.of(fit, None if cross_validated is None else cross_validated[fit.group.name])
         refused_after = table.after if cross_validated is None else cross_validated[fit.group.name][1]
         for effect, gain in zip(fit.effects, table.gains, strict=True):
             if table.keeps(effect):
-                effects.append(_effect(table, effect, gain))
+                if refused_name(fit, effect, runs):
+                    refused = True
+                    effects.append(_unmodelled(table, effect, gain, runs))
+                else:
+                    effects.append(_effect(table, effect, gain))
                 mismatch.append(_mismatch(table, effect, gain))
         for j in range(len(fit.group.joints)):
             channels.append(_channel(table, j, float(refused_after[j])))
@@ -92,7 +98,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
     alike = tuple(pair for fit in fits if fit.sets is not None for pair, *_ in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
-        verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels),
+        verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels, refused),
         mismatch=tuple(sorted(mismatch, key=lambda m: -m.share)),
         effects=tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
         fit=FitOfMotion.of(channels, fits[0].split),
@@ -108,12 +114,12 @@ def cut_short(fits: list[MotionFit]) -> bool:
     return any(fit.sets is not None and fit.sets.cut_short for fit in fits)
 
 
-def _verdict(fits: list[MotionFit], effects: list[EffectFound], channels: list[ChannelFit]) -> str:
+def _verdict(fits: list[MotionFit], effects: list[EffectFound], channels: list[ChannelFit], refused: bool) -> str:
     """As that of poses: ``cannot_tell`` where the evidence neither shows an effect nor is as weak as without one; a residual above the
-    noise is unexplained.
+    noise is unexplained, and so is what fits under a name that was refused.
     """
     named = any(e.name != UNKNOWN for e in effects)
-    unexplained = any(c.held_out.after_chi2_dof > NUMBERS.unexplained_chi2_dof for c in channels)
+    unexplained = refused or any(c.held_out.after_chi2_dof > NUMBERS.unexplained_chi2_dof for c in channels)
     if not named and not unexplained and any(fit.sets is not None and fit.sets.undecided for fit in fits):
         return "cannot_tell"
     if named:
@@ -137,6 +143,21 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Effe
         alternatives=tuple(effect.alternatives),
         steps=tuple(effect.steps),
         notes=tuple(effect.notes),
+    )
+
+
+def _unmodelled(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray, runs: tuple[MotionSignals, ...]) -> EffectFound:
+    """An effect whose name was refused."""
+    on, shape = response_shape(table.fit, effect, runs)
+    return EffectFound(
+        name=UNKNOWN,
+        where=effect.candidate.where[-1:],
+        depends_on=on,
+        channel=table.fit.group.name,
+        parameters={},
+        p_value=effect.p_value,
+        held_out_gain=table.share(gain),
+        shape=shape,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.diagnosis.executor import UNLIMITED, TimeBudget
 from mbcacq.diagnosis.findings import OUT_OF_TIME
+from mbcacq.diagnosis.motion.allowed_names import refused_in_words
 from mbcacq.diagnosis.motion.assemble import assemble, checked_channels, cut_short
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
@@ -49,7 +50,7 @@ def diagnose_trajectories(
     late = [OUT_OF_TIME] if cut_short(fits) else []
     return replace(
         found,
-        suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot)),
+        suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot), *refused_in_words(fits, runs)),
         plot_data=motion_series(fits, found.fit.channels, trajectories, recordings.runs),
     )
 

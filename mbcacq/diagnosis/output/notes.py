@@ -8,8 +8,9 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
+from mbcacq.diagnosis.evidence.between_sets import better_in_general
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import MOST_LOG_ODDS, coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
@@ -85,6 +86,11 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     return [
         *dict.fromkeys(m.candidate.support.refused for m in reported.unmodelled if m.candidate.support.refused),
         *other_covariates(full.evidence, reported),
+        *(
+            f"a general function at {at} predicts better than the names there ({odds_in_words(float(np.exp(min(log, MOST_LOG_ODDS))))}): "
+            "they are no more than near to what happens"
+            for at, log in better_in_general(full.evidence, reported).items()
+        ),
         *partial_periods(setup, full),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),

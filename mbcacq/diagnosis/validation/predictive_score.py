@@ -63,6 +63,10 @@ class PredictiveScore:
     def __add__(self, other: PredictiveScore) -> PredictiveScore:
         return PredictiveScore(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
+    def better_than(self, other: PredictiveScore) -> bool:
+        """Whether both the misfit and chi2 are smaller: a prediction that is less certain has a smaller chi2 for its uncertainty alone."""
+        return self.square < other.square and self.chi2 < other.chi2
+
     @property
     def rms(self) -> float:
         return float(np.sqrt(self.square / max(self.count, 1)))

@@ -13,7 +13,8 @@ from mbcacq.effects.effect import Candidate, Hyperparameter, plain_report
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "friction"
-DECLARED = Declaration(every_arm=True, motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
+# The second law of thermodynamics: Coulomb, viscous and Stribeck friction together take energy at every speed, whatever the sign of each.
+DECLARED = Declaration(every_arm=True, motor_side=True, dissipative=True, model_block="friction", challenge=Challenge(in_motion=3))
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
 LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
 UNEVEN = 0.03  # sigma of what friction differs by between the directions, as a share of the largest torque: of friction it is a quarter

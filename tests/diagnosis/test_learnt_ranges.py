@@ -1,0 +1,114 @@
+"""What was learnt has a range: beyond it an effect is a constant, as an error of the geometry is, and nothing gets worse there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
+from mbcacq.calibration.transfer import check_transfer
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.output.kept_model import term_of
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import LearntRecording
+from mbcacq.effects.learnt_range import LearntRange
+from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.options import CalibrationOptions
+
+DEG = np.pi / 180
+
+
+def eccentric_base_joint(s):
+    """A disc of the encoder of A1 that sits off its axis: once a turn."""
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 0] = 8e-4 * np.sin(s.obs.q[:, 0] + 0.6)
+    return Displacements(joint=joint)
+
+
+def postures(seed: int, count: int, share: float) -> np.ndarray:
+    """Evenly at random over a share of the range of each joint, about its middle."""
+    low, high = simulated.robot().limits.T
+    middle, half = (low + high) / 2, share * (high - low) / 2
+    return np.random.default_rng(seed).uniform(middle - half, middle + half, (count, 6))
+
+
+@pytest.fixture(scope="module")
+def third():
+    """A third of the ranges, and all of them, of one arm."""
+    here, there = simulated.tracked(postures(1, 80, 1 / 3)), simulated.tracked(postures(2, 80, 1.0))
+    here, there = (simulated.observe(obs, seed, [eccentric_base_joint], arm=5) for obs, seed in ((here, 11), (there, 12)))
+    return here, replace(there, pose_id=there.pose_id + 1000)
+
+
+@pytest.fixture(scope="module")
+def learnt(third):
+    here, _ = third
+    options = CalibrationOptions(refuse=False)
+    alone = calibrate(here, replace(options, discrepancy=False, random_links=False))
+    return calibrate_with_effects(here, options, diagnose(here).model), alone
+
+
+def test_what_looks_like_a_scale_over_a_third_does_no_harm_over_all(third, learnt):
+    (cell, alone), (_, there) = learnt, third
+    assert {"A1"} <= {at for t in cell.effects.terms for at in t.where}
+    tried = check_transfer(there, cell, alone.state.chain)
+    assert tried.with_effects.rms_mm < 1.05 * tried.geometry_alone.rms_mm
+    assert 0 < tried.inside_centres < tried.centres
+    squares = tried.inside.rms_mm**2 * tried.inside_centres + tried.outside.rms_mm**2 * (tried.centres - tried.inside_centres)
+    assert squares == pytest.approx(tried.with_effects.rms_mm**2 * tried.centres)
+    assert tried.inside_centres == int(cell.effects.inside(there).sum())
+    assert "beyond that range" in tried.text
+
+
+def test_an_effect_is_a_constant_beyond_its_range_and_a_file_keeps_that(third, learnt):
+    here, _ = third
+    model = learnt[0].effects
+    read = EffectModel.from_dict(model.to_dict())
+    inside = np.tile(here.q.mean(axis=0), (3, 1))
+    edge = here.q[:, 0].max()
+    inside[:, 0] = edge, edge + 0.5, edge + 1.0
+    for one in (model, read):
+        moved = one.displacements(one.poses(inside)).joint[:, 0]
+        assert moved[0] == pytest.approx(moved[1]) == pytest.approx(moved[2])
+    assert not model.left_out_at(here)
+    far = replace(here, pose_id=here.pose_id + 1000, q=here.q + np.array([1.5, 0, 0, 0, 0, 0]))
+    (beyond,) = model.left_out_at(far)
+    moved = far.q[:, 0] > edge + 0.2
+    assert np.all(np.abs(beyond.parts[0].basis[moved] * beyond.sigma).sum(axis=1) > 0)  # what is not known there has a variance
+
+
+def test_a_period_that_was_seen_goes_on_and_less_of_one_does_not(third):
+    here, there = third
+    for obs, order, held in ((here, 1.0, ("q4",)), (here, 8.0, ()), (there, 1.0, ())):
+        gear = next(c for c in prepare(obs).candidates if c.name == "gear_transmission_error" and c.where == ("A4",))
+        assert term_of(Covariates(obs), gear, order, np.ones(2), np.ones(2)).clamped == held
+
+
+def test_a_load_beyond_the_recorded_ones_has_the_deflection_of_the_largest(third):
+    here, there = third
+    soft = next(c for c in prepare(here).candidates if c.name == "joint_compliance" and c.where == ("A2",))
+    term = term_of(Covariates(here), soft, None, np.array([1e-6]), np.array([1e-8]))
+    moved = EffectModel(here.cell.robot, (term,), LearntRecording.of(here)).displacements(there).joint[:, 1]
+    seen, loads = Covariates(here).gravity_torque[:, 1], Covariates(there).gravity_torque[:, 1]
+    np.testing.assert_allclose(moved, 1e-6 * np.clip(loads, seen.min(), seen.max()), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("visited", "at", "held"),
+    [
+        ((-60, 60), (0, 59, 80, 170, -170, -80), (0, 59, 60, 60, -60, -60)),
+        ((150, 210), (180, -160, 215, 140), (180, -160, 210, 150)),
+        ((-180, 175), (0, 177.6, 179), (0, 177.6, 179)),  # a whole turn
+    ],
+)
+def test_an_angle_that_repeats_is_held_at_the_nearer_end_of_what_was_not_visited(visited, at, held):
+    known = LearntRange.of("q1", np.radians(np.arange(*visited, 2.0).tolist() + [visited[1]]), counts_turns=False)
+    np.testing.assert_allclose(known.held("q1", np.radians(at)), np.radians(held), atol=1e-12)
+
+
+def test_an_angle_that_counts_turns_is_held_at_its_own_ends():
+    known = LearntRange.of("q1", np.radians([-10.0, 0.0, 200.0]), counts_turns=True)
+    np.testing.assert_allclose(known.held("q1", np.radians([-370.0, 100.0, 220.0])), np.radians([-10.0, 100.0, 200.0]))

@@ -1,0 +1,95 @@
+"""What goes wrong when somebody comes back to his runs: files that are missing, cut, of another version or kind. Each has one sentence."""
+
+import json
+import os
+import re
+import shutil
+from contextlib import chdir
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from mbcacq.cli.app import app
+
+PLANS = Path(__file__).parents[2] / "plans"
+NEWER = '{"format": "mbcacq-result/9"}'
+
+
+def removed(name):
+    return lambda folder: (folder / name).unlink()
+
+
+def written(name, text):
+    def spoil(folder):
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).write_text(text)
+
+    return spoil
+
+
+def cut(name):
+    def spoil(folder):
+        whole = (folder / name).read_bytes()
+        (folder / name).unlink()
+        (folder / name).write_bytes(whole[: len(whole) // 2])
+
+    return spoil
+
+
+def edited_history(folder):
+    (folder / "check.json").write_text(json.dumps({"format": "mbcacq-check/1", "sha256": "0" * 64, "days": []}))
+
+
+def nothing(folder):
+    pass
+
+
+MISTAKES = [  # what happened, what is typed, what the sentence says
+    (removed("result.json"), "export runs/x --results out", "give a result.json, or the run folder that holds one"),
+    (removed("result.json"), "check runs/x plans/kuka.yaml --dry-run", "give a result.json, or the run folder that holds one"),
+    (removed("result.json"), "verify runs/x runs/x", "give a result.json, or the run folder that holds one"),
+    (removed("run.rrd"), "report runs/x", "copied by half"),
+    (removed("run.rrd"), "diagnose runs/x", "copied by half"),
+    (removed("run.rrd"), "recover runs/x", "holds no recording (run.rrd)"),
+    (cut("result.json"), "report runs/x", "result.json is not JSON (it breaks off"),
+    (cut("result.json"), "export runs/x --results out", "result.json is not JSON (it breaks off"),
+    (cut("result.json"), "compare runs/x runs/monday", "result.json is not JSON (it breaks off"),
+    (written("result.json", ""), "report runs/x", "(it is empty)"),
+    (written("result.json", NEWER), "report runs/x", "written by a newer mbcacq"),
+    (written("result.json", NEWER), "export runs/x --results out", "written by a newer mbcacq"),
+    (written("result.json", NEWER), "check runs/x plans/kuka.yaml --dry-run", "written by a newer mbcacq"),
+    (cut("run.rrd"), "diagnose runs/x", "mbcacq recover"),
+    (written("diagnosis.json", "broken"), "report runs/x", "write it anew with mbcacq diagnose"),
+    (written("diagnosis.json", "broken"), "calibrate runs/x --effects runs/x/diagnosis.json", "give what mbcacq diagnose --out wrote"),
+    (nothing, "calibrate runs/x --effects runs/x/result.json", "holds no effects that a calibration could take"),
+    (written("check.json", '{"a": 1}'), "check runs/x plans/kuka.yaml --dry-run", "no history of checks"),
+    (edited_history, "check runs/x plans/kuka.yaml --dry-run", "take its copy from a backup"),
+    (nothing, "run plans/kuka.yaml --dry-run --out runs/x", "already holds a run"),
+    (nothing, "run --resume runs/x", "start a new run"),
+    (nothing, "compare runs/x runs/x", "is the same recording"),
+    (nothing, "compare runs/x plans/kuka.yaml", "nothing was measured yet"),
+    (nothing, "verify runs/x plans/kuka.yaml", "nothing was measured yet"),
+    (nothing, "calibrate runs", "give one of them, such as runs/x"),
+    (nothing, "export runs/x/result.jso --results out", "No such file"),
+    (nothing, "export runs/x --results out", "--simulated-anyway"),
+    (nothing, "report runs/monday-2", "does not exist"),
+    (nothing, "serve runs/x/result.json", "give the folder that holds them"),
+    (nothing, "view runs/x/plan.yaml", "is a plan"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "command", "said"), MISTAKES, ids=[f"{k}-{command}" for k, (_, command, _) in enumerate(MISTAKES)])
+def test_a_mistake_has_one_sentence(spoil, command, said, finished_run, tmp_path):
+    source = finished_run("kuka.yaml").folder
+    for name in ("monday", "x"):
+        shutil.copytree(source, tmp_path / "runs" / name, copy_function=os.link)
+    (tmp_path / "plans").symlink_to(PLANS)
+    spoil(tmp_path / "runs" / "x")
+    with chdir(tmp_path):
+        done = CliRunner().invoke(app, command.split())
+    printed = done.stdout + done.stderr
+    sentences = re.findall(r"^mbcacq: (.*)$", printed, re.MULTILINE)
+    assert (done.exit_code != 0, len(sentences)) == (True, 1), printed
+    assert said in sentences[0]
+    assert "unexpected" not in sentences[0]
