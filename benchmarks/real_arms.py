@@ -5,6 +5,7 @@
     python benchmarks/real_arms.py checks
     python benchmarks/real_arms.py transfer [--data ../shared/data] [--poses 1500] [--only ur10] [--write]
     python benchmarks/real_arms.py compliance [--poses 1500] [--write]
+    python benchmarks/real_arms.py found-again [SET ...] [--kept DIR] [--write]
     python benchmarks/real_arms.py wrong-descriptions > benchmarks/wrong_descriptions.md
 
 Each command says more with --help.
@@ -19,6 +20,7 @@ from bench import DATA, option, writes
 from real_arms.campaigns import campaigns
 from real_arms.checks import checks
 from real_arms.compliance import compliance
+from real_arms.found_again import found_again
 from real_arms.ladder import ladder
 from real_arms.position_errors import SETS
 from real_arms.transfer import transfer
@@ -39,6 +41,15 @@ if __name__ == "__main__":
             "checks": (checks, [DATA]),
             "transfer": (transfer, [DATA, poses(100_000), option("--only", choices=("ur5", "ur10")), writes("benchmarks/transfer.md")]),
             "compliance": (compliance, [DATA, poses(1500), writes("docs/data/ur10-tracker.md")]),
+            "found-again": (
+                found_again,
+                [
+                    option("sets", nargs="*"),
+                    DATA,
+                    option("--kept", type=Path, default=Path("found-again"), help="folder of the diagnoses so far"),
+                    writes("benchmarks/found_again.md"),
+                ],
+            ),
             "wrong-descriptions": (descriptions, [DATA]),
         },
     )

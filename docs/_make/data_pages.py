@@ -34,8 +34,9 @@ def kept(text: str) -> str:
 
 
 def printed(name: str) -> str:
-    """What a page shows of the diagnosis of a set."""
-    return DiagnosisResult.from_json((DATA / f"{name}.words.json").read_text(encoding="utf-8")).text + "\n"
+    """What a page shows of the diagnosis of a set: verdict and effects."""
+    words = DiagnosisResult.from_json((DATA / f"{name}.words.json").read_text(encoding="utf-8")).text
+    return words.split("\nWhere model and data")[0].rstrip() + "\n"
 
 
 def refreshed(page: str) -> str:

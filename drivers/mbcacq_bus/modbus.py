@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, parse_options
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Fact, Field, parse_options
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.modbus_link import ModbusLink
@@ -184,15 +184,15 @@ class ModbusSensor(_ModbusDevice):
 
     def read(self) -> dict[str, float]:
         """Values by name. Raises DeviceTimeout, DeviceFault (also where they cannot follow the last ones, read twice)."""
-        values = self._read_all()
-        if self._plausible.doubt(values, time.monotonic()) is not None:
-            self._link.keep_in_step()
-            values = self._read_all()
-            doubt = self._plausible.doubt(values, time.monotonic())
-            if doubt is not None and doubt.sure:
-                raise DeviceFault(f"{self._device}: {doubt.text}; check its probes, and that nothing else asks on this line")
-        self._plausible.believe(values, time.monotonic())
-        return values
+        return self._plausible.checked(self._device, self._read_all(), self._read_again, time.monotonic)
+
+    def facts(self) -> tuple[Fact, ...]:
+        """A reading that was doubted and read again."""
+        return self._plausible.facts()
+
+    def _read_again(self) -> dict[str, float]:
+        self._link.keep_in_step()
+        return self._read_all()
 
     def _read_all(self) -> dict[str, float]:
         values = {name: self._link.read(register) for name, register in self._options.values.items()}

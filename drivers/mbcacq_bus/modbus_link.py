@@ -22,7 +22,10 @@ REASONS = {
     3: "the value is not allowed",
     4: "the device failed",
     6: "the device is busy",
+    10: "the gateway has no path to that unit",
+    11: "the unit behind the gateway does not answer",
 }
+NO_UNIT = (10, 11)  # said by a gateway of a unit, not by a device of its registers
 
 
 _QUIET = 1.1  # of the time-out: silence for longer than an answer may take
@@ -175,8 +178,13 @@ class ModbusLink:
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
             reason = REASONS.get(code, f"exception code {code}")
-            raise DeviceFault(f"{self._device} refused {request.what}: {reason}; check the registers in the plan")
+            raise DeviceFault(f"{self._device} refused {request.what}: {reason}; {self._cure(code)}")
         return answer
+
+    def _cure(self, code: int) -> str:
+        if code in NO_UNIT:
+            return f"check the device id ({self._options.device_id} in the plan) and that the unit is switched on and wired to the gateway"
+        return "check the registers in the plan"
 
     def _exchange(self, request: _Request) -> tuple[Any, float]:
         """The first answer of the right unit, function and length, and when the request was sent."""
@@ -192,7 +200,7 @@ class ModbusLink:
                 transport.close()
                 raise Closed from error
             self._miss(sent)
-            raise _NoAnswer("gave no valid answer") from error
+            raise _NoAnswer(f"gave no valid answer as unit {self._options.device_id} (is device_id right?)") from error
         except Exception as error:  # of a port that is lost, or closed by another thread, pymodbus and pyserial raise whatever they meet
             transport.close()
             raise Closed from error

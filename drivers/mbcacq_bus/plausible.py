@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+
+from mbcacq.devices import DeviceFault, Fact
 
 _SAME = 0.1  # of a jump: so near to another's last value, it has landed on it
 _UNUSUAL = 10.0  # times the largest step seen: two probes of nearly the same value change places by noise alone
 _KNOWN = 3  # readings from which on the usual steps are known
 _RECENT_S = 600.0  # two bodies may well change places in a longer time
+_TEMPERATURES = ("C", "°C", "degC", "deg C", "K")
+_TEMPERATURE_RATE = 0.5  # K/s: more than air in a hall or a body of metal changes by
+_TEMPERATURE_STEP = 10.0  # K: a larger one is read again, however long ago the last reading was
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,8 @@ class Plausibility:
     units : Mapping[str, str]
         Unit of each value by name; only values of one unit can be exchanged.
     max_rates : Mapping[str, float]
-        Largest change of a value, unit/s, where the plan gives one.
+        Largest change of a value, unit/s, where the plan gives one. Temperatures without one have a default: what changes faster is read
+        again, and the second reading counts.
     """
 
     def __init__(self, units: Mapping[str, str], max_rates: Mapping[str, float]) -> None:
@@ -36,6 +42,25 @@ class Plausibility:
         self._last: dict[str, float] = {}
         self._steps: dict[str, float] = {}
         self._readings, self._at = 0, -math.inf
+        self._read_again = "none"
+
+    def checked(
+        self, device: str, values: dict[str, float], again: Callable[[], dict[str, float]], now: Callable[[], float]
+    ) -> dict[str, float]:
+        """A reading, or that of ``again`` where it cannot follow the last one. Raises DeviceFault where the second cannot either."""
+        first = self.doubt(values, now())
+        if first is not None:
+            values = again()
+            second = self.doubt(values, now())
+            if second is not None and second.sure:
+                raise DeviceFault(f"{device}: {second.text}; check its probes, and that nothing else asks on this line")
+            self._read_again = f"{first.text}; read again: {', '.join(f'{name} {value:g}' for name, value in values.items())}"
+        self.believe(values, now())
+        return values
+
+    def facts(self) -> tuple[Fact, ...]:
+        """The last reading that was read again, so that the recording holds it; none before the first."""
+        return (Fact("doubted reading", self._read_again, critical=False),) if self._readings else ()
 
     def believe(self, values: Mapping[str, float], at: float) -> None:
         """Take a reading at a time ``at``, s, as the one to compare with."""
@@ -52,7 +77,17 @@ class Plausibility:
             if step > rate * max(at - self._at, 1.0):
                 text = f"{name} went from {self._last[name]:g} to {values[name]:g} in {at - self._at:.1f} s, faster than its max_rate"
                 return Doubt(text, sure=True)
-        return self._exchanged(values) if at - self._at < _RECENT_S else None
+        exchanged = self._exchanged(values) if at - self._at < _RECENT_S else None
+        return exchanged or self._jumped(values, at)
+
+    def _jumped(self, values: Mapping[str, float], at: float) -> Doubt | None:
+        """A temperature without a rate of the plan that changed faster than temperatures do: a flipped bit, or a real jump."""
+        most = min(_TEMPERATURE_RATE * max(at - self._at, 1.0), _TEMPERATURE_STEP)
+        for name, value in values.items():
+            if self._units.get(name) in _TEMPERATURES and name not in self._max_rates and abs(value - self._last.get(name, value)) > most:
+                text = f"{name} went from {self._last[name]:g} to {value:g} in {at - self._at:.1f} s, faster than temperatures change"
+                return Doubt(text, sure=False)
+        return None
 
     def _exchanged(self, values: Mapping[str, float]) -> Doubt | None:
         landed = {name: other for name in values if (other := self._taken_over(name, values)) is not None}

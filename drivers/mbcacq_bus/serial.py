@@ -17,6 +17,7 @@ from mbcacq.devices import (
     Description,
     DeviceFault,
     DeviceTimeout,
+    Fact,
     Field,
     IdentityError,
     ProtocolError,
@@ -96,14 +97,15 @@ class SerialSensor(ContextDevice):
         """The newest complete line's values. Raises DeviceTimeout, ProtocolError, DeviceFault (also where they cannot follow the last
         ones, read twice)."""
         values = self._read_once(time.monotonic() - self._options.timeout_s)
-        if self._plausible.doubt(values, time.monotonic()) is not None:
-            self._late = self._options.ask is not None  # what was read may have been the late answer to an earlier question
-            values = self._read_once(time.monotonic())
-            doubt = self._plausible.doubt(values, time.monotonic())
-            if doubt is not None and doubt.sure:
-                raise DeviceFault(f"{self._device}: {doubt.text}; check its probes, and that nothing else asks on this line")
-        self._plausible.believe(values, time.monotonic())
-        return values
+        return self._plausible.checked(self._device, values, self._read_again, time.monotonic)
+
+    def facts(self) -> tuple[Fact, ...]:
+        """A reading that was doubted and read again."""
+        return self._plausible.facts()
+
+    def _read_again(self) -> dict[str, float]:
+        self._late = self._options.ask is not None  # what was read may have been the late answer to an earlier question
+        return self._read_once(time.monotonic())
 
     def _read_once(self, oldest: float) -> dict[str, float]:
         """Values of a line that came at ``oldest`` (time.monotonic) or later, of a sensor that is asked of the answer to a new question."""

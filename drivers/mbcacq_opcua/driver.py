@@ -28,7 +28,7 @@ from mbcacq.devices import (
     SafetyStop,
 )
 from mbcacq_opcua.link import OpcUaLink
-from mbcacq_opcua.nodes import text_of
+from mbcacq_opcua.nodes import UNITS, text_of
 from mbcacq_opcua.options import OpcUaOptions, parse
 
 MOVING_RAD_S = 1e-3  # slower is standing, for ``state().moving`` alone: whether the arm stands at a target the run judges by itself
@@ -152,7 +152,12 @@ class OpcUaRobot(ContextDevice):
         """q (n,) rad as the robot file counts it, of angles as the server gives them."""
         o, robot = self._options, None if self._link is None else self._link.robot
         stated = ("",) * len(angles) if robot is None else robot.units
-        deg = np.array([np.degrees(a) if (unit or o.angle_unit) == "rad" else a for a, unit in zip(angles, stated, strict=True)])
+        deg = np.array(
+            [
+                np.degrees(a) if (unit if unit in UNITS.values() else o.angle_unit) == "rad" else a
+                for a, unit in zip(angles, stated, strict=True)
+            ]
+        )
         if o.controller_offset_deg is not None:
             deg = deg - np.array(o.controller_offset_deg)
         return np.radians(deg if o.controller_matrix is None else np.linalg.solve(np.array(o.controller_matrix), deg))

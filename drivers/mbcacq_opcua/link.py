@@ -18,7 +18,7 @@ from asyncua.ua.attribute_ids import AttributeIds
 from asyncua.ua.object_ids import ObjectIds
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, ProtocolError, same_model
-from mbcacq_opcua.nodes import NoSuchRobot, RobotNodes, find_robot
+from mbcacq_opcua.nodes import UNITS, NoSuchRobot, RobotNodes, find_robot
 from mbcacq_opcua.options import OpcUaOptions
 
 CLOCK = ua.NodeId(ua.Int32(ObjectIds.Server_ServerStatus_CurrentTime))
@@ -158,11 +158,11 @@ class OpcUaLink:
         o, model = self._options, found.about.get("Model", "")
         if o.expect_model is not None and not same_model(o.expect_model, model):
             raise IdentityError(f"{self._place} is a '{model}', not a '{o.expect_model}'; correct the address or the option expect_model")
-        if "" in found.units and o.angle_unit is None:
-            axis = found.names[found.units.index("")]
-            raise ConfigError(
-                f"{self._place} states no unit of axis '{axis}'; look at the values and give the option angle_unit: deg or rad"
-            )
+        strange = next(((a, u) for a, u in zip(found.names, found.units, strict=True) if u not in UNITS.values()), None)
+        if strange is not None and o.angle_unit is None:
+            axis, unit = strange
+            says = f"states '{unit}' as unit of axis '{axis}', which is not known here" if unit else f"states no unit of axis '{axis}'"
+            raise ConfigError(f"{self._place} {says}; look at the values and give the option angle_unit: deg or rad")
         if o.payload_kg is None:
             return
         if found.payload_kg is None or abs(found.payload_kg - o.payload_kg) > o.payload_tolerance_kg:

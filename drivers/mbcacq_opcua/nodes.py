@@ -27,8 +27,9 @@ class NoSuchRobot(Exception):
 
 @dataclass
 class RobotNodes:
-    """names: browse names of the axes; units: of each, 'deg', 'rad' or '' where the server states none; about: what it says of itself;
-    safety: nodes of emergency and protective stop, by name; watched: those of model, serial number and payload, as far as it has them."""
+    """names: browse names of the axes; units: of each, 'deg', 'rad' or what the server states instead, '' where it states none; about: what
+    it says of itself; safety: nodes of emergency and protective stop, by name; watched: model, serial number and payload, as far as
+    it has them."""
 
     names: tuple[str, ...]
     positions: list[Node]
@@ -107,7 +108,7 @@ async def _robot(device: Node, system: Node, axes: Mapping[str, Node], robotics:
             raise NoSuchRobot(f"has an axis '{name}' without ActualPosition; ask its maker, or name other axes in the option axes")
         positions.append(node)
         unit = await _value(node, "0:EngineeringUnits")
-        units.append(UNITS.get(getattr(unit, "UnitId", -1), ""))
+        units.append(UNITS.get(getattr(unit, "UnitId", -1)) or text_of(getattr(unit, "DisplayName", None)))
     about = {what: text for what in ("Manufacturer", "Model", "SerialNumber") if (text := text_of(await _value(device, f"{di}:{what}")))}
     mass = await _value(device, f"{robotics}:FlangeLoad", f"{robotics}:Mass")
     found = RobotNodes(tuple(axes), positions, tuple(units), about, None if mass is None else float(mass))

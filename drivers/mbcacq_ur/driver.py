@@ -34,6 +34,7 @@ PROGRAM = 20261  # which mbcacq_ur.script this driver works with
 MOVE, STOP = 1, 2
 LAST_NUMBER = 2**30  # of commands, then they begin again
 IDLE_S = 0.5  # on the controller's clock: idle for longer, and not at the target, the move was ended by something else
+WATCHDOG_S = 0.2  # without a package from here, as mbcacq_ur.script asks of the controller
 COLUMNS = {"q": "actual_q", "q_set": "target_q", "current_A": "actual_current", "joint_temperature_C": "joint_temperatures"}
 
 
@@ -152,7 +153,7 @@ class UrRtdeRobot(ContextDevice):
         with self._changed:
             self._check()
             self._command((*target.tolist(), speed, acceleration), MOVE)
-            self._target, self._wanted, self._near_since, self._idle_since = target, limits, None, None
+            self._target, self._wanted, self._near_since, self._idle_since, self._longest_gap_s = target, limits, None, None, 0.0
 
     def set_output(self, number: int, value: bool) -> None:
         """Switch a standard digital output, one of the option digital_outputs; returns once it was sent. Raises ConfigError, and what
@@ -211,6 +212,8 @@ class UrRtdeRobot(ContextDevice):
 
     def _forget(self) -> None:
         self._latest: Values | None = None
+        self._taken_s: float | None = None
+        self._longest_gap_s = 0.0  # between two packages since the move began
         self._error: MbcacqError | None = None
         self._target: np.ndarray | None = None
         self._wanted: MotionLimits | None = None
@@ -252,6 +255,8 @@ class UrRtdeRobot(ContextDevice):
         if not np.isfinite([values["timestamp"], *values["actual_q"]]).all():
             raise ProtocolError(f"{self._name}: joint angles that are no numbers; the connection was given up")
         with self._changed:
+            now, before = time.monotonic(), self._taken_s
+            self._longest_gap_s, self._taken_s = max(self._longest_gap_s, 0.0 if before is None else now - before), now
             self._judge(values)
             command = values["target_q"] if self._target is None else tuple(self._target.tolist())
             row = {name: values[key] for name, key in COLUMNS.items()}
@@ -281,7 +286,17 @@ class UrRtdeRobot(ContextDevice):
         idle = target is not None and values["output_int_register_0"] == self._number and not values["output_int_register_1"]
         self._idle_since = (now if self._idle_since is None else self._idle_since) if idle and not near else None
         if self._idle_since is not None and now - self._idle_since > IDLE_S:
-            raise DeviceFault(f"{self._name}: the move ended away from its target; see the pendant, then resume the run")
+            raise DeviceFault(f"{self._name}: the move ended away from its target; {self._why_it_ended}then resume the run")
+
+    @property
+    def _why_it_ended(self) -> str:
+        """What is known of a move that ended early: our program's watchdog stops an arm that has had no package from here for that long."""
+        if self._longest_gap_s < WATCHDOG_S:
+            return "see the pendant, "
+        return (
+            f"for {self._longest_gap_s:.2f} s this computer answered no package, and after {WATCHDOG_S:g} s the program on the controller "
+            "stops the arm; look at the load of this computer and the network, see the pendant, "
+        )
 
     def _fail(self, error: MbcacqError) -> None:
         with self._changed:

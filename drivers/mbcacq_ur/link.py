@@ -13,7 +13,7 @@ from typing import Any
 from mbcacq.devices import ConnectError, DeviceTimeout, MbcacqError, ProtocolError
 from mbcacq_ur import wire
 from mbcacq_ur.options import UrOptions
-from mbcacq_ur.wire import BadPackage, DataLayout
+from mbcacq_ur.wire import BadPackage, DataLayout, RefusedValues
 
 SENT = (
     *(
@@ -67,6 +67,9 @@ class RtdeLink:
         except TimeoutError as error:
             self.close()
             raise ConnectError(f"{self._name} at {place} does not answer; is RTDE enabled (Settings, Security, Services)?") from error
+        except RefusedValues as error:
+            self.close()
+            raise ProtocolError(f"{self._name} at {place} {error}") from error
         except (BadPackage, struct.error, UnicodeDecodeError) as error:
             self.close()
             raise ProtocolError(f"{self._name} at {place} does not speak RTDE version 2 as expected: {error}") from error

@@ -36,12 +36,23 @@ def split(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
         yield kind, payload
 
 
+class RefusedValues(Exception):
+    """The controller does not exchange some of the values; the text is a predicate with what to do."""
+
+
 class DataLayout:
     """Names and types of the values of one data package, as both sides agreed. answer: of the controller to the request of these names."""
 
     def __init__(self, names: tuple[str, ...], answer: bytes) -> None:
         types = answer[1:].decode("ascii", "replace").split(",")
         refused = [f"{name} is {kind}" for name, kind in zip(names, types, strict=False) if kind not in LAYOUT]
+        in_use, unknown = ([n for n, kind in zip(names, types, strict=False) if kind == why] for why in ("IN_USE", "NOT_FOUND"))
+        if in_use:
+            raise RefusedValues(
+                f"lets another client write {', '.join(in_use)} (IN_USE); end that client (a fieldbus, a URCap or another program of RTDE)"
+            )
+        if unknown:
+            raise RefusedValues(f"does not know {', '.join(unknown)} (NOT_FOUND); its software is too old, update PolyScope")
         if not answer or refused or len(types) != len(names):
             raise BadPackage(f"the controller refuses values ({', '.join(refused) or 'another number of types than of names'})")
         self.number, self.names = answer[0], names

@@ -20,6 +20,10 @@ class EventBus:
         self._lock = threading.RLock()
         self._start = time.monotonic()
 
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Deliver events from now on to one more, after all others."""
+        self._subscribers.append(subscriber)
+
     @property
     def elapsed(self) -> float:
         """Seconds since the run started."""

@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, predicted, rms
-from mbcacq.calibration.methods import COMPARED_METHODS
+from mbcacq.calibration.methods import COMPARED_METHODS, OF_LINKS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions, select_phases
@@ -100,16 +100,17 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order; a method that these data do not determine has
-    the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError where no method is determined: no station
-    was seen from two postures."""
+    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order. Those that identify links are left out where the
+    data are poses of a flange; a method that these data do not determine has the reason in place of figures. progress: gets a sentence a
+    method. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(
             "every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
             "undetermined; nothing can be compared. Take several different poses at each station"
         )
-    names = list(COMPARED_METHODS) if methods is None else list(methods)
+    of_flange = obs.cell.robot.of_flange_poses  # which have no links to identify
+    names = [name for name in COMPARED_METHODS if not (of_flange and name in OF_LINKS)] if methods is None else list(methods)
     rows = []
     for number, name in enumerate(names, 1):
         progress(f"{name} (method {number}/{len(names)})")  # no count: some take a hundred times as long as others

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.description import misdescribed
+from mbcacq.calibration.description import misdescribed, wrong_length
 from mbcacq.calibration.description_hypotheses import exchanged_balls
 from mbcacq.calibration.published_cell import warned
 from mbcacq.calibration.recording_faults import beyond_noise, fault_of
@@ -123,7 +123,7 @@ def contradiction(adjustment: Adjustment) -> Contradiction | None:
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
     strict = solve(solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
     if _beyond(found, lineariser.obs.cell):
-        described = misdescribed(lineariser.obs)
+        described = misdescribed(lineariser.obs) or wrong_length(lineariser.obs)
         return replace(found, cause=described or fault_of(strict), misdescribed=bool(described))
     fault = fault_of(strict, known=rejected_poses(adjustment))
     return replace(found, cause=fault) if fault else None

@@ -144,6 +144,7 @@ def geometry_alone(obs: Observations) -> CellState:
     return calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)).state
 
 
+OF_LINKS = ("paper", "paper (four balls)", "paper (all pairs)", "distances only", "geometry alone", "maximum likelihood")
 COMPARED_METHODS: dict[str, Callable[[Observations], CellState | CalibratedCell]] = {
     "nominal": nominal,
     **{f"AX=XB {name}": by_motions(name) for name in MOTION_METHODS},

@@ -82,11 +82,12 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     X = X.reshape(-1, X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
-    shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
+    fitted_there = ("ball_",) if obs.cell.robot.of_flange_poses else ("hand_eye.", "ball_")
+    shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(fitted_there)]
     variance = {name: s**2 for t in differing for name, s in zip(t.names, t.sigma, strict=True)}
     drawn = [j for j, name in enumerate(names) if name in variance]
     index = [learnt[names[j]] for j in shared]
-    own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
+    own = [j for j, name in enumerate(names) if name.startswith("hand_eye.") and j not in shared]
     A = X[:, [*shared, *drawn]]
     station = np.repeat(some.station[some.pose], 3)
     A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
@@ -124,7 +125,7 @@ def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray
     those of a pose (m,) share joint noise, and none share noise of points.
     """
     of_pose = [np.flatnonzero(pose == p) for p in np.unique(pose)]
-    shared = learnt.reshape(-1, learnt.shape[2])
+    shared = learnt.reshape(3 * len(pose), learnt.shape[2])
     squares = np.sum((shared.T @ shared) ** 2)
     for rows in of_pose:
         B, J = (part[rows].reshape(3 * len(rows), -1) for part in (learnt, joint))

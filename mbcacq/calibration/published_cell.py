@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import OPTIONS, ChangeEvidence, ChangeFound
+from mbcacq.calibration.change import OPTIONS, ChangeEvidence
+from mbcacq.calibration.change_found import ChangeFound
+from mbcacq.calibration.description import wrong_length
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
 from mbcacq.estimation.options import copies
@@ -76,6 +78,8 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
         said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
         cell = warned(cell, said)
+    if length := wrong_length(observations):
+        cell = warned(cell, f"A length contradicts the poses of the flange: {length}")
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
 

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.change import in_words, kinds_of_change
+from mbcacq.calibration.change import kinds_of_change
+from mbcacq.calibration.change_found import in_words
 from mbcacq.calibration.published_cell import warned
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import chi2_quantile

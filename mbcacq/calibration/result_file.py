@@ -58,7 +58,7 @@ class RobotInResult(EveryKey):
             name=robot.name,
             flange_poses=robot.of_flange_poses,
             sign=nominal.sign,
-            limits=robot.limits,
+            limits=None if robot.of_flange_poses else robot.limits,
             nominal=_rows(nominal),
             calibrated=_rows(calibrated),
             errors=dict(zip(PARAMETERS, errors, strict=True)),
@@ -225,6 +225,7 @@ def result_file(
     if cell.noise_mm is not None:
         noise = replace(noise, check_factor=tuple((estimate.noise.point / first_noise(cell).point).tolist()))
     used = set(fit.used_stations)
+    no_links = set(estimate.layout.blocks[0].names) if cell.robot.of_flange_poses else set()
     stations = [
         StationInResult(id=station.id, artefact=station.artefact, T_base_station=state.T_base_station[s], std=np.sqrt(np.diag(covariance)))
         for s, (station, covariance) in enumerate(zip(cell.stations, fit.station_covariance, strict=True))
@@ -240,7 +241,7 @@ def result_file(
         stations=tuple(stations),
         balls=tuple(BallInResult(b, state.balls[i]) for i, b in enumerate(cell.ball_ids)),
         preliminary=Preliminary(preliminary.T_flange_scanner),
-        parameters=tuple(parameters_of(fit, estimate.layout, state, estimate.covariance)),
+        parameters=tuple(p for p in parameters_of(fit, estimate.layout, state, estimate.covariance) if p.name not in no_links),
         names=estimate.names,
         covariance=estimate.covariance,
         noise=noise,
@@ -258,7 +259,7 @@ def result_file(
         observability=arm_indices(estimate.layout, estimate.covariance, fit.used_poses),
         scan_scale=scan_scale(fit.observations, fit.used, estimate.noise.point),
         scale=scale_in_words(fit.observations),
-        held=estimate.layout.held,
+        held={name: why for name, why in estimate.layout.held.items() if name not in no_links},
         correlated=tuple(Correlated((a, b), r) for a, b, r in fit.correlated),
         rejected=fit.rejected,
         effects=estimate.effects.to_dict() if estimate.effects else None,

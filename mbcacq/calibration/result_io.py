@@ -34,6 +34,25 @@ from mbcacq.quantities import K, pair, symbol, uncertainty
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
 
 
+def of_flange_poses(result: Mapping[str, Any]) -> bool:
+    """Whether the cell of a result is known by the poses of its flange alone: it has no joints, links, limits, effects or kinematics."""
+    return bool(result.get("robot", {}).get("flange_poses", False))
+
+
+def noise_of_a_view(result: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Standard deviation of one view of a target, scanner and pose of the flange together: mm of a coordinate, and rad about an axis. None
+    where the data, or a stated noise, tell their shares apart: one target at a pose does not, whatever the adjustment settles on."""
+    noise, fit = result["noise"], result["fit"]
+    if not of_flange_poses(result) or fit["centres"] > fit["poses"] or noise.get("check_factor"):
+        return None
+    carrier = np.asarray(noise["joint_rad"], dtype=float)
+    place = np.mean(np.square(noise["scanner_mm"])) + np.mean(carrier[:3] ** 2)
+    return float(np.sqrt(place)), float(np.sqrt((noise.get("turn_rad") or 0.0) ** 2 + np.mean(carrier[3:] ** 2)))
+
+
+ONE_VIEW = "one target at a pose does not tell their shares apart"
+
+
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
     """The effects of a result; None where it is geometry alone. Raises ConfigError where they are damaged."""
     return EffectModel.from_dict(result["effects"]) if result.get("effects") else None

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.change import changed_while_recorded
 from mbcacq.calibration.held_out_poses import gross, rms
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
@@ -112,6 +113,9 @@ class Transfer(AsJson):
         Misfit of left-out parts; None with known places, and where the recording learnt from left nothing open.
     warnings : tuple[str, ...]
         Sentences.
+    fitted : str
+        What was fitted to the recording, in words: of poses of a flange the place of the target alone, since the hand-eye transform is
+        what is tried.
     robust : TransferFigures or None
         ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None where there are none. All
         other figures are of every centre: what is tested does not choose by what.
@@ -134,6 +138,7 @@ class Transfer(AsJson):
     normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
+    fitted: str = "base, tool and stations fitted"
     parts_left_out: PartsLeftOut | None = None
     robust: TransferFigures | None = None
     robust_centres: int = 0
@@ -144,7 +149,7 @@ class Transfer(AsJson):
     @property
     def text(self) -> str:
         """The figures in plain sentences."""
-        how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
+        how = self.fitted if self.place == "fitted" else "nothing fitted"
         out = [
             f"On {self.recording or 'the other recording'} ({self.poses} poses, all {self.centres} centres, {how}): "
             f"{self._compared('rms_mm', micrometres)}.",
@@ -181,6 +186,9 @@ class Transfer(AsJson):
         if self.own_geometry:
             text += f"; {shown(getattr(self.own_geometry, figure))} with a geometry fitted there"
         return text
+
+
+FITTED_OF_FLANGE = "the target's place fitted, the hand-eye transform as it was learnt"
 
 
 def check_transfer(
@@ -229,8 +237,9 @@ def check_transfer(
         own_geometry=tried.own_geometry(every),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
-        warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
+        warnings=(*tried.changes(cell.state.chain, model), *left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
+        fitted=FITTED_OF_FLANGE if tried.of_flange_poses else Transfer.fitted,
         parts_left_out=tried.parts_left_out(best, model, used),
         robust=None if kept.all() else tried.figures(best, kept),
         robust_centres=int(kept.sum()),
@@ -270,6 +279,10 @@ class _Trial:
     cell: CalibratedCell
     place: str
 
+    @property
+    def of_flange_poses(self) -> bool:
+        return self.obs.cell.robot.of_flange_poses
+
     def fit(self, chain: Chain, model: EffectModel | None) -> CalibratedCell:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
@@ -278,6 +291,9 @@ class _Trial:
             kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=all_phases(obs)
         )
         if self.place == "fitted":
+            if self.of_flange_poses:  # the hand-eye transform is what is tried
+                learnt = replace(obs.cell, T_flange_scanner=self.cell.state.T_flange_scanner)
+                obs, options = replace(obs, cell=learnt), replace(options, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
             return calibrate(obs, options)
         known = self._known(obs)
         hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
@@ -293,6 +309,12 @@ class _Trial:
         return adjusted_cell(
             options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]), known_noise=True
         )
+
+    def changes(self, chain: Chain, model: EffectModel) -> tuple[str, ...]:
+        """A sentence on what changed while the recording was made, where something did."""
+        displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
+        change = changed_while_recorded(with_arm(self.obs, chain), displaced)
+        return () if change is None else (f"something changed while that recording was made: {change.event}",)
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""
@@ -320,7 +342,12 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, random_links=False, phases=all_phases(self.obs)))
+            own = calibrate(
+                self.obs,
+                CalibrationOptions(
+                    kinematics=not self.of_flange_poses, refuse=False, discrepancy=False, random_links=False, phases=all_phases(self.obs)
+                ),
+            )
         except CalibrationError:
             return None
         return self.figures(own, used)

@@ -17,80 +17,137 @@ from mbcacq.quantities import K, uncertainty
 
 if TYPE_CHECKING:
     from mbcacq.spheres.cloud_file import CloudFile
+    from mbcacq.workflow.arm_positions import ArmPosition
 
 
 @click.command("apply")
 @click.argument("result", type=RunPath())
 @click.argument("cloud", type=click.Path(path_type=Path))
-@click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")
+@click.option("--joints", metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
+@click.option(
+    "--flange",
+    metavar="X,Y,Z,...",
+    help="Pose of the flange at the exposure, in mm and °, as the controller reports it; a rotation vector in rad.",
+)
+@click.option(
+    "--orientation", metavar="MAKER", help="Convention of the flange's orientation: kuka, fanuc, abb, ur, .., or axes such as ZYX."
+)
+@click.option(
+    "--poses",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Table of joint angles or poses of the flange, with a row for each cloud of the folder CLOUD.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="PLY to write [default: CLOUD with _base before its ending]; of a folder, a folder."
+)
 @click.option(
     "--unit",
     type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]),
-    help="Unit of the cloud's coordinates [default: as its header says, or mm].",
+    help="Unit of the clouds' coordinates [default: as their header says, or mm].",
 )
-@click.option("--force", is_flag=True, help="Replace a file that is already there.")
+@click.option("--force", is_flag=True, help="Replace files that are already there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str | None, force: bool, as_json: bool) -> None:
+def command(
+    result: Path,
+    cloud: Path,
+    joints: str | None,
+    flange: str | None,
+    orientation: str | None,
+    poses: Path | None,
+    out: Path | None,
+    unit: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
     """Bring CLOUD (PLY or PCD, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
 
-    Colours, intensities and all other properties of the points stay. The command prints how well the points are placed: expanded
-    uncertainties (k = 2) from the calibrated parameters and from the joints' repeatability. The noise of single points is not included.
+    CLOUD may be a folder of clouds, with a table of the arm's positions (--poses). Colours, intensities and all other properties of the
+    points stay. The command prints how well the points are placed: expanded uncertainties (k = 2) from the calibrated parameters and from
+    the repeatability of joints or poses. The noise of single points is not included.
 
     Example: mbcacq apply runs/today --joints=0,-90,90,0,30,0 scan.ply
-    """
-    import numpy as np
 
+    Example: mbcacq apply result.json clouds --poses flange.csv --orientation kuka
+    """
     from mbcacq.calibration.result_io import with_warnings
     from mbcacq.errors import ConfigError
-    from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
-    from mbcacq.exports.scan_correction import place_scan
-    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+    from mbcacq.workflow import arm_positions
     from mbcacq.workflow.load import unsealed_note
 
-    out = out or cloud.with_name(f"{cloud.stem}_base.ply")
-    if out.exists() and not force:
-        raise ConfigError(f"{out} exists; give another --out, or --force to replace it")
-    try:
-        q = np.radians([float(part) for part in joints.replace(";", ",").split(",")])
-    except ValueError:
-        raise ConfigError(f"--joints '{joints}' is not a list of numbers; give degrees with commas, such as 0,-90,90,0,30,0") from None
-    known = load_result(result)
+    if sum(given is not None for given in (joints, flange, poses)) != 1:
+        raise ConfigError("say where the arm stood, one of --joints, --flange, and --poses TABLE for a folder of clouds")
+    if (poses is not None) != cloud.is_dir():
+        raise ConfigError(f"{cloud} {'is no folder' if poses else 'is a folder'}; --poses TABLE goes with a folder of clouds")
+    known, matched = load_result(result), ""
+    if poses is not None:
+        clouds = arm_positions.clouds_in(cloud, (".ply", ".pcd"))
+        positions, matched = arm_positions.positions_in(poses, known, clouds, orientation)
+    else:
+        clouds = [cloud]
+        positions = [arm_positions.typed_joints(joints) if joints is not None else arm_positions.typed_flange(flange or "", orientation)]
+    outputs = _outputs(clouds, out or cloud.with_name(f"{cloud.name}_base"), force) if poses else _output(cloud, out, force)
+    placed = []
     with StepProgress() as steps:
-        steps.begin("bringing the scan into the base frame")
-        found = read_cloud_file(cloud)
-        moved, placed = place_scan(known, q, in_mm(cloud, found, unit))
-        changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
-    notes = _notes(found, unit, known, changed)
+        for one, position, output in zip(clouds, positions, outputs, strict=True):
+            steps.begin("bringing the scan into the base frame" if poses is None else f"bringing {one.name} into the base frame")
+            placed.append(_placed(known, one, position, output, unit))
     if as_json:
-        echo(
-            json.dumps(
-                {
-                    "format": "mbcacq-apply/1",
-                    "output": str(out),
-                    "points": len(moved),
-                    "notes": notes,
-                    **({"simulated": True} if known.get("simulated") else {}),
-                    "T_base_scanner": placed.T_base_scanner.tolist(),
-                    "sigma_mm": placed.total_mm.tolist(),
-                    "sigma_parameters_mm": placed.parameters_mm.tolist(),
-                    "sigma_repeatability_mm": placed.repeatability_mm.tolist(),
-                    "sigma_3d_mm": placed.rms_mm,
-                    "sigma_3d_worst_mm": placed.worst_mm,
-                }
-            )
-        )
+        marked = {"format": "mbcacq-apply/1", **({"simulated": True} if known.get("simulated") else {})}
+        echo(json.dumps({**marked, **placed[0]} if poses is None else {**marked, "matched": matched, "clouds": placed}))
         return
     for sentence in [*with_warnings(known), *unsealed_note(result)]:
         echo(f"*** {sentence} ***", err=True)
-    for note in notes:
+    for note in dict.fromkeys([note for one in placed for note in one["notes"]] + ([matched] if matched else [])):
         echo(f"note: {note}", err=True)
-    x, y, z = (uncertainty(1e3 * K * sigma) for sigma in placed.total_mm)
-    middle, worst = (uncertainty(1e3 * K * sigma) for sigma in (placed.rms_mm, placed.worst_mm))
-    echo(f"{out}: {len(moved)} points in the base frame")
-    echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
+    for one in placed:
+        x, y, z = (uncertainty(1e3 * K * sigma) for sigma in one["sigma_mm"])
+        middle, worst = (uncertainty(1e3 * K * one[name]) for name in ("sigma_3d_mm", "sigma_3d_worst_mm"))
+        echo(f"{one['output']}: {one['points']} points in the base frame")
+        echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
     say_next(*judge_first(result))
+
+
+def _output(cloud: Path, out: Path | None, force: bool) -> list[Path]:
+    """The file of one cloud. Raises ConfigError where it is there and ``force`` is not given."""
+    from mbcacq.workflow.load import refuse_existing
+
+    made = out or cloud.with_name(f"{cloud.stem}_base.ply")
+    refuse_existing(made, force, f"{made} exists; give another --out, or --force to replace it")
+    return [made]
+
+
+def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
+    """The files of several clouds in a folder, which is made. Raises ConfigError where two are one, or one is there."""
+    from mbcacq.errors import ConfigError
+
+    made = [path for one in clouds for path in _output(one, folder / f"{one.stem}_base.ply", force)]
+    if twice := next((path for path in made if made.count(path) > 1), None):
+        raise ConfigError(f"two clouds would become {twice}; rename one")
+    folder.mkdir(parents=True, exist_ok=True)
+    return made
+
+
+def _placed(known: Mapping[str, Any], cloud: Path, position: ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
+    """Write one cloud in the base frame; what was written, and how well it is placed."""
+    from mbcacq.exports.clouds import write_cloud
+    from mbcacq.exports.scan_correction import place_scan
+    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+
+    found = read_cloud_file(cloud)
+    moved, placed = place_scan(known, position.q, in_mm(cloud, found, unit), flange=position.flange)
+    changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
+    return {
+        "output": str(out),
+        "points": len(moved),
+        "notes": _notes(found, unit, known, changed),
+        "T_base_scanner": placed.T_base_scanner.tolist(),
+        "sigma_mm": placed.total_mm.tolist(),
+        "sigma_parameters_mm": placed.parameters_mm.tolist(),
+        "sigma_repeatability_mm": placed.repeatability_mm.tolist(),
+        "sigma_3d_mm": placed.rms_mm,
+        "sigma_3d_worst_mm": placed.worst_mm,
+    }
 
 
 def _notes(cloud: CloudFile, unit: str | None, result: Mapping[str, Any], changed: Sequence[str]) -> list[str]:

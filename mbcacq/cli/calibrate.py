@@ -108,6 +108,7 @@ def command(
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
     import mbcacq
+    from mbcacq.calibration.result_io import of_flange_poses
     from mbcacq.errors import ConfigError
     from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve, joint_content
 
@@ -153,7 +154,7 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, effects, out, joints=not result.get("robot", {}).get("flange_poses", False)))
+        say_next(*next_step(data, effects, out, joints=not of_flange_poses(result)))
 
 
 def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True) -> tuple[str, str]:

@@ -57,6 +57,9 @@ _TABLE_OPTIONS = (
     click.option(
         "--diameter", "diameter_mm", type=click.FloatRange(0, min_open=True), metavar="MM", help="Diameter of the sphere in line profiles."
     ),
+    click.option(
+        "--measured", "by_instrument", is_flag=True, help="An instrument measured the points, though the arm itself gives them to rounding."
+    ),
     click.option("--force", is_flag=True, help="Replace the set if it exists."),
     click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
 )

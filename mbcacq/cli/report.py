@@ -53,11 +53,13 @@ def next_step(run: Path) -> tuple[str, str]:
     from mbcacq.recording.run_folder.register import RunKind, kind_of
     from mbcacq.report.sources.check_result import read_check_result
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
-    from mbcacq.workflow.load import is_run_folder
+    from mbcacq.workflow.load import as_observations, is_run_folder
 
     if is_run_folder(run) and kind_of(run) is RunKind.CHECK:
         what, command = read_check_result(run)["next"]
         return what, command
+    if not is_run_folder(run) and as_observations(run).cell.robot.of_flange_poses:
+        return "hold the usual methods for the hand-eye transformation against it", command_line("compare", run)
     if not (run / "diagnosis.json").exists():
         return "ask which effects the model lacks", command_line("diagnose", run)
     if not (run / WITH_EFFECTS / "result.json").exists():

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from mbcacq.calibration.result_io import ONE_VIEW, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import (
@@ -158,6 +159,10 @@ def fit(result: dict[str, Any]) -> list[str]:
         aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"
         out.append(f"Expected accuracy of a point in the workspace: {value} (U, k = 2; {misfit or aside})")
     if noise:
+        if (view := noise_of_a_view(result)) is not None:
+            place, about = uncertainty(1e3 * view[0]), uncertainty(1e6 * view[1])
+            out.append(f"Noise (k = 1): one view is off by {place} µm and {about} µrad, scanner and flange together; {ONE_VIEW}")
+            return out
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])
         out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
@@ -179,7 +184,7 @@ def _repeatability(result: dict[str, Any]) -> str:
     found = result["noise"]["joint_rad"]
     if not any(found):
         return ""
-    if result["robot"].get("flange_poses"):  # displacements in mm, then rotations in rad
+    if of_flange_poses(result):  # displacements in mm, then rotations in rad
         places, turns = (listed([scale * s for s in part]) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
         return f"; poses of the flange are off by {places} µm and {turns} µrad along and about x, y, z of the base"
     text = f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
@@ -195,7 +200,7 @@ def remarks(result: dict[str, Any]) -> list[str]:
     held = result.get("held") or {}
     if not identifies_arm(result):
         arm = arm_parameters(result)
-        if not result["robot"].get("flange_poses"):
+        if not of_flange_poses(result):
             out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values{link_errors(result)}")
         held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}

@@ -36,8 +36,9 @@ class Stand:
         computer fails nobody.
     output : tuple[int, Callable[[], bool]] or None
         Number of a digital output that a robot switches under the option digital_outputs, and whether the device itself says that it is on.
-    facts : Mapping[str, Callable[[], None]]
-        By the name of each fact of the driver, what changes it at the device while the driver is connected.
+    facts : Mapping[str, Callable[[], None] or None]
+        By the name of each fact of the driver, what changes it at the device while the driver is connected; None where the device tells
+        it only when a connection begins.
     """
 
     make: Callable[..., Any]
@@ -49,7 +50,7 @@ class Stand:
     short_limits: Mapping[str, Any] = field(default_factory=dict)
     ready: Callable[[], bool] = lambda: True
     output: tuple[int, Callable[[], bool]] | None = None
-    facts: Mapping[str, Callable[[], None]] = field(default_factory=dict)
+    facts: Mapping[str, Callable[[], None] | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.executor import Executor, Refit, Refitting, WorkerPool, executor
+from mbcacq.diagnosis.executor import Executor, Refit, Refitting, executor
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
@@ -19,7 +19,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
-from mbcacq.diagnosis.validation.folds import RepeatedSearch
+from mbcacq.diagnosis.validation.folds import repeated, repeated_early
 from mbcacq.diagnosis.validation.found_again import repetitions
 from mbcacq.diagnosis.verdict import conclude
 from mbcacq.errors import CalibrationError, ConfigError
@@ -85,12 +85,7 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     refitting = Refitting(asked.refit, by.pool)
 
     asked.progress("searching for effects")
-    # The parts of a long recording do not depend on what all of it shows: other processes search them from the start.
-    again = halves = None
-    if problem.in_part:
-        within = replace(problem, budget=by.budget)
-        again = RepeatedSearch.begin(within, asked.folds, by.pool, True)
-        halves = again if again.of_halves else RepeatedSearch.halves(within, by.pool)
+    early = repeated_early(replace(problem, budget=by.budget), asked.folds, by.pool)
     found = search(problem)
     if problem.in_part:  # what is left nearly always asks for groups at all locations
         refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(found.members)))
@@ -104,16 +99,14 @@ def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, b
     refitting.begin(kept)
 
     problem = replace(problem, budget=by.budget)
-    if again is None:
-        pool = WorkerPool() if full.empty else by.pool  # nothing is claimed, there is nothing to validate
-        again = RepeatedSearch.begin(problem.with_linearization(full.geometry_only.linear), asked.folds, pool, bool(full.random))
+    again, halves = early or repeated(problem, full, asked.folds, by.pool)
     validation = validated(full, again, asked.progress)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)
-    repeated = repetitions(full, halves or again)
+    parts = repetitions(full, halves)
 
     asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, full, validation, repeated), model=kept or None)
+    result = replace(conclude(problem, full, validation, parts), model=kept or None)
     if asked.formulas:
         proposals, tried = propose(problem, full, result.effects, asked.progress)
         result = replace(result, proposals=proposals, notes=(*result.notes, *tried))

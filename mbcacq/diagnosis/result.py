@@ -14,7 +14,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.several_recordings import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import InJson, Number
+from mbcacq.model.json_text import EveryKey, InJson, Number
 from mbcacq.quantities import micrometres
 
 
@@ -92,10 +92,32 @@ class FitFigures:
 
 
 @dataclass(frozen=True)
-class HeldOutFigures(FitFigures):
-    """The same figures on held-out data: in no choice and no fit. split: ``station`` or ``block``, what was left out at a time."""
+class HeldOutFigures(FitFigures, EveryKey):
+    """The same figures on held-out data: in no choice and no fit.
+
+    Attributes
+    ----------
+    split : str
+        ``station`` or ``block``, what was left out at a time.
+    centres, robust_centres : int
+        Number of all held-out centres, and of those that the fit of all data does not reject as gross outliers. The figures above are
+        robust: of the latter. Both are 0 where none is rejected.
+    every_before_rms_mm, every_after_rms_mm : Number
+        Rms of all held-out centres; 0 where none is rejected.
+    """
+
+    left_out = ("centres", "robust_centres", "every_before_rms_mm", "every_after_rms_mm")
 
     split: str
+    centres: int = 0
+    robust_centres: int = 0
+    every_before_rms_mm: Number = 0.0
+    every_after_rms_mm: Number = 0.0
+
+    @property
+    def rejects(self) -> bool:
+        """Whether the fit of all data rejects a centre."""
+        return self.centres > self.robust_centres
 
 
 @dataclass(frozen=True)

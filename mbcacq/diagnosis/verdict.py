@@ -71,7 +71,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
         effects=tuple(effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
-            held_out=HeldOutFigures(*_figures(validation.before, validation.after), split=validation.split),
+            held_out=held_out_figures(validation),
             repeatability_floor_mm=expected_rms(full, after.rms),
         ),
         geometry_alone=setup.geometry_alone,
@@ -92,6 +92,21 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
         between_recordings=recordings,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, residual, residual_after),
+    )
+
+
+def held_out_figures(validation: CrossValidation) -> HeldOutFigures:
+    """The figures of the centres that are not rejected, and of every centre where some are."""
+    before, after = validation.before, validation.after
+    figures = HeldOutFigures(*_figures(before, after), split=validation.split)
+    if after.every <= after.count:
+        return figures
+    return replace(
+        figures,
+        centres=after.every,
+        robust_centres=after.count,
+        every_before_rms_mm=before.rms_of_every,
+        every_after_rms_mm=after.rms_of_every,
     )
 
 

@@ -22,6 +22,7 @@ from mbcacq.model.observations import Observations
 UNKNOWN = "unknown"
 SMOOTH = "smooth"  # variant of those groups of a calibration's discrepancy that go on where the recording was not
 GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
+LAW_DEVIATION = 0.3  # share by which a gear's stiffness differs between small and large torques (K1, K2, K3 of data sheets)
 COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
 
 
@@ -87,11 +88,13 @@ class EffectTerm(EveryKey):
     names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
     inf for none.
     ranges: covariate -> where it was in the recording learnt from. clamped: covariates that are held at the end of their learnt range
-    beyond it: there the effect is a constant, as an error of the geometry is. held: whether something else than the poses determines the
+    beyond it: there the effect is a constant, as an error of the geometry is. laws: loads to which it is proportional beyond their learnt
+    range too, with an uncertainty of its own there. held: whether something else than the poses determines the
     coefficients, which stay then where others are fitted.
     """
 
     left_out = ("held",)
+    later = ("laws",)
 
     name: Annotated[str, Field(min_length=1)]
     where: tuple[str, ...]
@@ -107,6 +110,7 @@ class EffectTerm(EveryKey):
     typical: Known
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()
     held: bool = False
 
     @classmethod
@@ -173,11 +177,12 @@ class EffectTerm(EveryKey):
         parts = self._going_on(here, learnt)
         return [_times(p, self._within(here, own)) for p, own in zip(parts, self.parts, strict=True)] if self.fades else parts
 
-    def _going_on(self, here: Covariates, learnt: LearntRecording, held: bool = True) -> list[Part]:
-        """The parts without fading; with covariates held in their learnt range or, if not ``held``, as their functions go on."""
+    def _going_on(self, here: Covariates, learnt: LearntRecording, held: Sequence[str] | None = None) -> list[Part]:
+        """The parts without fading, with these covariates held in their learnt range; by default those that are ``clamped``."""
         same = learnt.is_of(here.obs) if self.bound_to_recording else True
+        at_ends = self.clamped if held is None else held
         # A hundred functions are of one covariate: its values are looked up once.
-        return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same, held)))
+        return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same, at_ends)))
 
     @property
     def fades(self) -> bool:
@@ -209,24 +214,26 @@ class EffectTerm(EveryKey):
 
     def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term | None:
         """What the effect may be beyond the range in which it was learnt, beside what is predicted there: as its functions go on, with the
-        size that it was found with. None where no pose is beyond.
+        size that it was found with, and of a law a share of that. None where no pose is beyond.
         """
-        if not (self.fades or self.clamped) or not np.all(np.isfinite(self.sigma)) or self.inside(here).all():
+        if not (self.fades or self.clamped or self.laws) or not np.all(np.isfinite(self.sigma)) or self.inside(here).all():
             return None
-        held, parts = self._going_on(here, learnt), list[Part]()
-        free = self._going_on(here, learnt, held=False) if self.clamped else held
+        held, parts = self._going_on(here, learnt, (*self.clamped, *self.laws)), list[Part]()
+        free = self._going_on(here, learnt, ()) if self.clamped or self.laws else held
         for at_end, on, own in zip(held, free, self.parts, strict=True):
             left = np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) if self.fades else np.zeros(len(at_end.basis))
             parts.append(replace(at_end, basis=on.basis - at_end.basis + left[:, None] * at_end.basis))
-        return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma_elsewhere)
+        sigma = self.sigma_elsewhere * (1.0 if self.clamped or self.fades else LAW_DEVIATION)
+        return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, sigma)
 
     def inside(self, here: Covariates) -> np.ndarray:
         """(M,) bool: centres at which every covariate that has a range is as it was where the effect was learnt."""
         obs, out = here.obs, np.ones(here.obs.n_centres, bool)
-        limited = set(self.clamped) | (self.covariates if self.fades else set())
+        at_ends = {*self.clamped, *self.laws}
+        limited = at_ends | (self.covariates if self.fades else set())
         for name in sorted(limited & set(self.ranges) - set(self.missing(here))):
             known, values = self.ranges[name], here.value(name)
-            left = np.abs(known.held(name, values) - values) > known.margin(name) if name in self.clamped else known.outside(name, values)
+            left = np.abs(known.held(name, values) - values) > known.margin(name) if name in at_ends else known.outside(name, values)
             out &= ~(left if name in OF_CENTRES else left[obs.pose])
         return out
 
@@ -252,7 +259,7 @@ class EffectTerm(EveryKey):
                 out.append(name)
         return tuple(out)
 
-    def _value(self, here: Covariates, learnt: LearntRecording, name: str, same: bool, held: bool) -> np.ndarray:
+    def _value(self, here: Covariates, learnt: LearntRecording, name: str, same: bool, held: Sequence[str]) -> np.ndarray:
         poses = here.obs.n_poses
         if name == "pose":
             return learnt.ranks(here.obs) if same else np.full(poses, float(len(learnt.poses) - 1))
@@ -266,7 +273,7 @@ class EffectTerm(EveryKey):
         except Missing:
             rows = here.obs.n_centres if name in OF_CENTRES else poses
             return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
-        return known.held(name, values) if held and name in self.clamped and known is not None else values
+        return known.held(name, values) if name in held and known is not None else values
 
 
 def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:

@@ -14,6 +14,7 @@ from mbcacq.effects.functions import REPEATING, DescribedPart
 
 MOVEMENT = "movement_"
 TRAVEL = "travel_"  # covariates of a joint's last motion
+LOADS = ("gravity_torque_", "gravity_moment_", "payload_force_", "payload_torque_")
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
@@ -108,6 +109,11 @@ def learnt_range(here: Covariates, name: str, counts_turns: bool) -> LearntRange
     """The range of a covariate in a recording."""
     key = "learnt range", name, "turns" if counts_turns else ""
     return here.computed_once(key, lambda: LearntRange.of(name, here.value(name), counts_turns))
+
+
+def loads(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of some covariates that are forces or torques."""
+    return tuple(sorted(n for n in names if n.startswith(LOADS)))
 
 
 def with_a_range(names: Iterable[str]) -> tuple[str, ...]:

@@ -139,7 +139,7 @@ def workspace_information(
     unit = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])  # rotations in mrad: of the size of the translations
     rigid = unit[:, None] * moved.sum(axis=0)
     inverse = np.linalg.pinv(unit[:, None] * squares.sum(axis=0) * unit, hermitian=True)
-    whole[:f, :f] = twists.reshape(-1, f).T @ moved.reshape(-1, f) - rigid.T @ inverse @ rigid
+    whole[:f, :f] = twists.reshape(6 * len(q), f).T @ moved.reshape(6 * len(q), f) - rigid.T @ inverse @ rigid
     return whole / (points.shape[0] * points.shape[1])
 
 

@@ -142,7 +142,7 @@ class PoseSystem:
 
 def inverse_of_lower(factor: np.ndarray) -> np.ndarray:
     """Inverse of a lower triangular matrix (k, k)."""
-    return dtrtri(factor, lower=1)[0]
+    return dtrtri(factor, lower=1)[0] if len(factor) else factor
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.nda
         by_station[block.place.stations] += score.by_station
     # The images' products with what was estimated, of unit variance.
     flat = (np.swapaxes(normal.station_root, 1, 2) @ by_station).reshape(-1, k)
-    estimated = root @ (by_parameter - normal.reduced.reshape(-1, normal.size).T @ flat)
+    estimated = root @ (by_parameter - normal.reduced.reshape(6 * S, normal.size).T @ flat)
     score = np.concatenate([by_axis[:3], by_joint, [by_axis[3:].sum()]])
     return score, 2 * (square - estimated.T @ estimated - flat.T @ flat)
 
@@ -202,6 +202,8 @@ class _BlockVariance:
 
 def times_upper(x: np.ndarray, root: np.ndarray) -> np.ndarray:
     """x (P, u, g) times the transpose of a lower triangular matrix (g, g): half of the work of a product with a full one."""
+    if not len(root):
+        return x
     flat = np.ascontiguousarray(x).reshape(-1, len(root))
     return dtrmm(1.0, root.T, flat.T, trans_a=1, overwrite_b=1).T.reshape(x.shape)
 

@@ -34,6 +34,10 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
 
 def _files(one: ExportFormat, exported: ExportedResult) -> Mapping[str, str | bytes]:
     """The files of a format; none where it needs a frame on the flange that was not determined, unless it was asked for by name."""
+    if one.of_joints and not exported.has_joints:
+        if one.name in exported.targets.only:
+            raise ConfigError(f"the format '{one.name}' holds joints, and this result is of poses of a flange; choose another by --only")
+        return {}
     try:
         return one.files(exported)
     except UndeterminedMount:

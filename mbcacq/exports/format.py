@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbcacq.calibration.result_io import effects_of, state_from_dict
+from mbcacq.calibration.result_io import effects_of, of_flange_poses, state_from_dict
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.exports.marks import comments
@@ -115,6 +115,11 @@ class ExportedResult:
         return comments(self.result)
 
     @property
+    def has_joints(self) -> bool:
+        """Whether the cell has joints; of one that is known by the poses of its flange alone no kinematics can be written."""
+        return not of_flange_poses(self.result)
+
+    @property
     def robot_name(self) -> str:
         return str(self.result["robot"].get("name", ""))
 
@@ -124,6 +129,7 @@ class ExportFormat(ABC):
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    of_joints: ClassVar[bool] = False  # writes the arm's joints
 
     @abstractmethod
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:

@@ -61,7 +61,9 @@ class Ros(ExportFormat):
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
         t = exported.targets
-        files: dict[str, str | bytes] = {"kinematics.yaml": joint_frames.kinematics_yaml(exported.chains[1], exported.robot_name)}
+        files: dict[str, str | bytes] = {}
+        if exported.has_joints:
+            files["kinematics.yaml"] = joint_frames.kinematics_yaml(exported.chains[1], exported.robot_name)
         for number, (name, T) in enumerate(exported.instruments.items()):
             scanner = t.scanner_frame if number == 0 else f"{t.scanner_frame}_{number + 1}"
             stem = t.name if number == 0 else f"{t.name}_{number + 1}"
@@ -85,6 +87,7 @@ def _ros_frame(T: np.ndarray, t: Targets, stem: str, parent: str, scanner: str, 
 class Mjcf(ExportFormat):
     name = "mjcf"
     summary = "the arm as a MuJoCo model, with the effects that such a model can hold"
+    of_joints = True
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
         lines, name = mjcf_comments(exported.result), exported.robot_name or "arm"
@@ -95,6 +98,7 @@ class Mjcf(ExportFormat):
 class Urdf(ExportFormat):
     name = "urdf"
     summary = "a calibrated copy of the URDF or xacro that is given by --urdf"
+    of_joints = True
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
         t = exported.targets

@@ -56,13 +56,15 @@ def expressed_effects(effects: EffectModel) -> ExpressedEffects:
     robot = effects.robot
     out = ExpressedEffects((float(np.mean(robot.payload_mass)), np.asarray(robot.payload_com, float)))
     for term in effects.terms:
-        if not _express(term, out, bool(robot.mass.any())):
+        if not _express(term, out, bool(robot.mass.any()), robot.limits):
             out.left.append(f"{term.name} at {'+'.join(term.where)}")
     return out
 
 
-def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool) -> bool:
-    """Whether a term could be entered. weighed: the masses of the links are known, without which nothing winds up."""
+def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool, limits: np.ndarray) -> bool:
+    """Whether a term could be entered. weighed: the masses of the links are known, without which nothing winds up. limits: (n, 2) rad of
+    the joints, within which a tied hinge is proportional to an angle: an effect that ends where it was learnt is none.
+    """
     c = term.coefficients
     causes = {(p.place, p.index, p.component): _cause(p.columns[0]) for p in term.parts if len(p.columns) == 1}
     if len(c) == 4 and all(
@@ -77,12 +79,18 @@ def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool) -> bool:
         out.base += float(c[0])
     elif single and cause == f"gravity_torque_{axis + 1}" and winds_up:
         out.compliance[axis] = out.compliance.get(axis, 0.0) + float(c[0])
-    elif single and cause is not None and is_angle(cause):
+    elif single and cause is not None and is_angle(cause) and _holds_at(term, cause, limits[int(cause[1:]) - 1]):
         key = axis, int(cause[1:]) - 1
         out.ratio[key] = out.ratio.get(key, 0.0) + float(c[0])
     else:
         return False
     return True
+
+
+def _holds_at(term: EffectTerm, angle: str, ends: np.ndarray) -> bool:
+    """Whether a term goes on as far as these ends (2,) of a joint's range."""
+    known = term.ranges.get(angle)
+    return angle not in term.clamped or known is None or bool(np.all(np.abs(known.held(angle, ends) - ends) <= known.margin(angle)))
 
 
 def _express_payload(c: np.ndarray, out: ExpressedEffects) -> bool:

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.joint_targets import joint_targets
+from mbcacq.calibration.result_io import of_flange_poses
 from mbcacq.errors import ConfigError
 from mbcacq.exports.mount import is_target, undetermined
 from mbcacq.geometry import se3
+from mbcacq.geometry.flange_poses import flange_transforms
 
 CHUNK = 200_000
+POSTURES = 24  # starts of the search for joint angles
 ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
 
 
@@ -32,8 +36,9 @@ class ScanPlacement:
     worst_mm: float
 
 
-def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ScanPlacement]:
+def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray, *, flange: bool = False) -> tuple[np.ndarray, ScanPlacement]:
     """Points (N, 3) mm in the scanner frame, measured at joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
+    flange: q (6,) is the pose of the flange, mm and rotation vector in rad, as its controller reports it.
 
     Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result has them), a damaged result, or one
     that does not say where a scanner is on the flange.
@@ -48,6 +53,12 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     cell = CalibratedCell.from_dict(dict(result))
     state = cell.state
     q = np.asarray(q, dtype=float)
+    if of_flange_poses(result) and not flange:
+        raise ConfigError(
+            "this result is of poses of a flange, which have no joints; give the pose of the flange at the exposure (--flange)"
+        )
+    if flange and not of_flange_poses(result):
+        q = joints_at(cell, flange_transforms(q[None])[0])
     if q.shape != (state.chain.n,):
         raise ConfigError(f"the arm has {state.chain.n} axes, {q.size} joint angles were given; give one for each axis, in degrees")
     if not np.isfinite(q).all():
@@ -74,6 +85,25 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
         rms_mm=float(total[0]),
         worst_mm=float(total.max()),
     )
+
+
+def joints_at(cell: CalibratedCell, T_base_flange: np.ndarray) -> np.ndarray:
+    """Joint angles (n,) rad of a nominal arm whose flange is at a pose (4, 4) mm; any of its postures puts a scan at the same place.
+
+    Raises ConfigError for an arm whose links or effects were calibrated: the pose that its controller reports is that of nominal links, at
+    a posture that the pose does not tell. Raises it for a pose out of reach.
+    """
+    if cell.errors.any() or cell.effects:
+        raise ConfigError(
+            "this result corrects the arm's links, and a pose of the flange does not tell the posture in which it was; give the joint "
+            "angles at the exposure (--joints)"
+        )
+    low, high = np.clip(np.tile([-np.inf, np.inf], (cell.nominal.n, 1)) if cell.limits is None else cell.limits, -np.pi, np.pi).T
+    starts = np.random.default_rng(0).uniform(low, high, (POSTURES, cell.nominal.n))
+    found = joint_targets(cell, np.tile(T_base_flange, (POSTURES, 1, 1)), starts, cell.limits)
+    if not found.reached.any():
+        raise ConfigError("the arm of this result does not reach this pose of the flange; check its units and orientation")
+    return found.q[int(np.argmax(found.reached))]
 
 
 def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:

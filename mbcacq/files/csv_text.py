@@ -127,12 +127,22 @@ def _without_empty_columns(path: Path, line: int, headings: list[str], rows: lis
     if keep < len(headings) and all(not any(map(str.strip, row[keep:])) for row in rows):
         rows = [row[:keep] if len(row) == len(headings) else row for row in rows]
         headings = headings[:keep]
+    if all(map(_is_number, headings)):
+        raise ConfigError(f"{path}:{line}: the first line holds numbers, so there is no header; write the names of the columns above it")
     for i, name in enumerate(headings, 1):
         if not name:
             raise ConfigError(f"{path}:{line}: column {i} has no heading; name it or remove it")
     if twice := next((name for name in headings if headings.count(name) > 1), None):
         raise ConfigError(f"{path}:{line}: column {twice} appears twice; remove one")
     return headings, rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _without_empty_end(row: list[str], width: int) -> list[str]:

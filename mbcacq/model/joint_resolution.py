@@ -1,4 +1,6 @@
-"""How finely the joint angles of a recording are written: a controller, or whoever exported them, may have rounded them."""
+"""How finely the numbers of a recording are written, and what follows: rounded joint angles are noise, and points that the arm itself
+explains to rounding were computed by it.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 STEPS_DEG = (0.1, 0.01, 0.001)  # whole degrees are postures that somebody planned; finer steps are below what any arm repeats
@@ -13,6 +17,8 @@ _ON_GRID = 0.75  # share of the angles: means of cycles between two steps are of
 _LEAST_ANGLES = 20
 _LEAST_DIGITS = 6  # different last digits: planned postures are often multiples of half a degree
 _SLACK = 1e-4  # of a step: what a conversion to rad and back leaves
+STEPS_MM = (1.0, 0.1, 0.01, 0.001)
+ALIKE_MM = 0.005  # no arm is where its nominal kinematics say by so little
 
 
 def joint_step(q: np.ndarray) -> float:
@@ -28,8 +34,8 @@ def joint_step(q: np.ndarray) -> float:
     return float(np.radians(step)) if varied else 0.0
 
 
-def _on_grid(degrees: np.ndarray, step: float) -> bool:
-    steps = degrees / step
+def _on_grid(values: np.ndarray, step: float) -> bool:
+    steps = values / step
     return bool(np.mean(np.abs(steps - np.rint(steps)) < _SLACK) > _ON_GRID)
 
 
@@ -42,6 +48,21 @@ def with_joint_step(obs: Observations) -> Observations:
     """The observations, whose cell knows to what their joint angles were rounded."""
     step = 0.0 if obs.cell.robot.of_flange_poses else joint_step(obs.q)
     return replace(obs, cell=replace(obs.cell, joint_step=step)) if step else obs
+
+
+def computed_by_the_arm(obs: Observations) -> float | None:
+    """The rms (mm) by which the described arm itself gives the measured points, in its own base frame; None where that is more than the
+    rounding of the numbers explains, as it is of points that an instrument measured.
+    """
+    robot = obs.cell.robot
+    if obs.cell.measurement != TARGET_IN_BASE or robot.of_flange_poses:
+        return None
+    on_flange = se3.apply_each(se3.inverse(robot.chain.flange(obs.q)), obs.pose, obs.xyz)
+    off = on_flange - np.array([np.mean(on_flange[obs.ball == b], axis=0) for b in range(obs.ball.max() + 1)])[obs.ball]
+    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    step_mm = next((step for step in STEPS_MM if _on_grid(obs.xyz, step)), 0.0)
+    rounding = np.hypot(np.sqrt(3) * rounding_noise(step_mm), rounding_noise(joint_step(obs.q)) * np.linalg.norm(robot.chain.lever))
+    return rms if rms < max(ALIKE_MM, 2.0 * rounding) else None
 
 
 def rounding_sentence(step: float) -> str:

@@ -197,11 +197,11 @@ class Devices:
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
-    with ball_phase (M,) str, or None. arm: (3 n, 3) mm, the
-    links in the middle pose as ``arm_outline`` has them, or None; arm_radii: (n,) mm."""
+    """Joint angles q_deg (P, n), None of poses of a flange, limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None;
+    balls (M, 3) mm in the base with ball_phase (M,) str, or None. arm: (3 n, 3) mm, the links in the middle pose as ``arm_outline`` has
+    them, or None; arm_radii: (n,) mm."""
 
-    q_deg: np.ndarray
+    q_deg: np.ndarray | None
     limits_deg: np.ndarray | None
     phase: np.ndarray
     flange: np.ndarray | None = None

@@ -21,7 +21,7 @@ def report_figures(content: Content) -> dict[str, Figure]:
         figures["correlation"] = parameter_charts.correlation(*content.correlation)
     if (accuracy := content.accuracy) is not None:
         figures |= {"accuracy_top": workspace_charts.accuracy(accuracy, 1), "accuracy_side": workspace_charts.accuracy(accuracy, 2)}
-    if content.coverage is not None and len(content.coverage.q_deg):
+    if content.coverage is not None and len(content.coverage.phase):
         figures |= _coverage_figures(content.coverage)
     if content.devices is not None:
         figures |= _device_figures(content.devices)
@@ -81,7 +81,7 @@ def _residual_figures(residuals: Residuals) -> dict[str, Figure]:
 def _coverage_figures(coverage: Coverage) -> dict[str, Figure]:
     from mbcacq.report.charts import workspace_charts
 
-    figures: dict[str, Figure] = {"joints": workspace_charts.joint_coverage(coverage)}
+    figures: dict[str, Figure] = {} if coverage.q_deg is None else {"joints": workspace_charts.joint_coverage(coverage)}
     if coverage.flange is None:
         return figures
     xyz, phase = coverage.flange, coverage.phase

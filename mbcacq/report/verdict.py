@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.length_budget import temperature_sentence
-from mbcacq.calibration.result_io import export_command
+from mbcacq.calibration.result_io import export_command, of_flange_poses
 from mbcacq.calibration.verification import verdict_of_places
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_term import UNKNOWN
@@ -49,6 +49,12 @@ MEASURE_INDEPENDENTLY = Action(
     "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'; the plan kuka "
     "has one.",
     "mbcacq plan copy kuka",
+)
+
+VERIFY_ON_VIEWS = (
+    "Verify on further views",
+    "Nothing independent says how good the hand-eye transformation is. Take ten further views of the target, with the flange turned "
+    "otherwise than before, and try the result on them.",
 )
 
 
@@ -188,6 +194,8 @@ def next_action(
     result with the effects that were found, where ``result`` is that one; plan: the plan of the run, '' where the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
+    if of_flange_poses(result):
+        return Action(*VERIFY_ON_VIEWS, command_line("verify", name, "further-views.csv"))
     action = None
     if not with_effects and found is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)

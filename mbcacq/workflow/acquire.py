@@ -156,6 +156,7 @@ class Acquisition:
         from mbcacq.recording.run_folder.recovery import WHOLE
         from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
         from mbcacq.spheres import SphereOptions, find_spheres
+        from mbcacq.workflow.change_watch import ChangeWatch
 
         def gate(q: np.ndarray) -> None:
             mark_latest(self.folder, self.kind)  # not before every device answered
@@ -177,13 +178,15 @@ class Acquisition:
         ):
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
+            bus = EventBus([recorder, journal, *subscribers])
+            bus.subscribe(ChangeWatch(solver_cell(self.loaded), bus))
             Runner(
                 loaded=self.loaded,
                 poses=self.poses,
                 paths=self.paths,
                 path_home=self.path_home,
                 devices=create_devices(self.loaded, overrides),
-                bus=EventBus([recorder, journal, *subscribers]),
+                bus=bus,
                 find_balls=partial(find_spheres, options=SphereOptions.for_noise(self.loaded.plan.scanner.noise_mm)),
                 cell_yaml=cell_to_yaml(replace(solver_cell(self.loaded), simulated=self.simulated)),
                 versions=versions(),

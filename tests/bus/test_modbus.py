@@ -131,6 +131,25 @@ def test_unknown_address_is_a_device_fault_with_advice():
                 positioner.go_to("1", "")
 
 
+class Gateway(FakeModbus):
+    """Answers every request for a unit by an exception."""
+
+    exception = 0
+
+    def _trace(self, sending, data):
+        data = super()._trace(sending, data)
+        return data[:4] + b"\x00\x03" + data[6:7] + bytes([data[7] | 0x80, self.exception]) if sending and self.exception else data
+
+
+@pytest.mark.parametrize(("code", "reason"), [(10, "no path to that unit"), (11, "behind the gateway does not answer")])
+def test_a_gateway_without_that_unit_is_no_matter_of_registers(code, reason):
+    with Gateway(FakePositioner({"1": 100.0, "2": 152.5}, Register(**POSITION), Register(**FLAG))) as server:
+        with ModbusPositioner("p", "", options(server, device_id=7)) as positioner:
+            server.exception = code
+            with pytest.raises(DeviceFault, match=rf"{reason}; check the device id \(7 in the plan\)"):
+                positioner.go_to("1", "")
+
+
 def test_the_wrong_box_is_refused():
     model = Register(address=100)
     with FakeModbus(values=[(model, lambda: 4711.0)]) as server:

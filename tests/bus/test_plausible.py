@@ -40,8 +40,29 @@ def test_noise_of_two_equal_probes_is_no_exchange():
 
 def test_a_faster_change_than_the_plan_allows_is_found():
     plausible = watched({"robot_C": 30.0, "air_C": 21.5}, rates={"robot_C": 0.1})
-    assert plausible.doubt({"robot_C": 30.9, "air_C": 40.0}, 10.0) is None
+    assert plausible.doubt({"robot_C": 30.9, "air_C": 24.0}, 10.0) is None
     assert "robot_C went from 30 to 31.5 in 10.0 s" in plausible.doubt({"robot_C": 31.5, "air_C": 21.5}, 10.0).text
+
+
+def test_a_flipped_bit_of_a_temperature_is_read_again_and_recorded():
+    """226.3 for 21.5: the second reading counts. A jump that stays is believed, as somebody may have opened a gate."""
+    plausible, at = watched({"air_C": 21.5, "humidity": 40.0}), [20.0]
+    assert (
+        plausible.checked("sensor", {"air_C": 226.3, "humidity": 40.0}, lambda: {"air_C": 21.6, "humidity": 40.0}, lambda: at[0])["air_C"]
+        == 21.6
+    )
+    (fact,) = plausible.facts()
+    assert fact.text == "air_C went from 21.5 to 226.3 in 20.0 s, faster than temperatures change; read again: air_C 21.6, humidity 40"
+    assert not fact.critical
+    cold = {"air_C": 4.0, "humidity": 90.0}
+    assert plausible.checked("sensor", dict(cold), lambda: dict(cold), lambda: 40.0) == cold
+    assert plausible.doubt({"air_C": 5.0, "humidity": 10.0}, 60.0) is None
+
+
+def test_a_plan_s_own_rate_takes_the_place_of_the_default():
+    fast = Plausibility({"tip_C": "C"}, {"tip_C": 100.0})
+    fast.believe({"tip_C": 20.0}, 0.0)
+    assert fast.doubt({"tip_C": 90.0}, 1.0) is None
 
 
 def test_a_device_that_exchanges_its_registers_is_refused_after_a_second_look():

@@ -139,3 +139,12 @@ def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():
     )
     text = words(diagnosed("none", before=0.009, exclusion_limits=(preload, replace(preload, parameter="A2.stretched_deg"))))
     assert "gravity_compensator at A2 (preload, stretched)" in text
+
+
+def test_centres_that_the_fit_rejects_are_in_the_held_out_figures_and_the_robust_ones_have_that_name():
+    found = diagnosed("explained", SOFT)
+    held = replace(found.fit.held_out, centres=440, robust_centres=419, every_before_rms_mm=2.752, every_after_rms_mm=1.9)
+    text = words(replace(found, fit=replace(found.fit, held_out=held)))
+    assert "20.0 µm before, 9.0 µm after (robust, over 419 centres; 2752.0 µm before, 1900.0 µm after over all 440 centres)" in text
+    assert "On held-out data (by station): 2752.0 µm before, 1900.0 µm after over all 440 centres; robust 20.0 µm before" in text
+    assert "robust" not in words(found)

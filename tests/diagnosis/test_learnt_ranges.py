@@ -87,12 +87,19 @@ def test_a_period_that_was_seen_goes_on_and_less_of_one_does_not(third):
         assert term_of(Covariates(obs), gear, order, np.ones(2), np.ones(2)).clamped == held
 
 
-def test_a_load_beyond_the_recorded_ones_has_the_deflection_of_the_largest(third):
+def test_a_gear_winds_up_in_proportion_to_loads_beyond_the_recorded_ones_with_an_uncertainty_of_its_own(third):
     here, there = third
     soft = next(c for c in prepare(here).candidates if c.name == "joint_compliance" and c.where == ("A2",))
     term = term_of(Covariates(here), soft, None, np.array([1e-6]), np.array([1e-8]))
-    moved = EffectModel(here.cell.robot, (term,), LearntRecording.of(here)).displacements(there).joint[:, 1]
+    model = EffectModel(here.cell.robot, (term,), LearntRecording.of(here))
     seen, loads = Covariates(here).gravity_torque[:, 1], Covariates(there).gravity_torque[:, 1]
+    np.testing.assert_allclose(model.displacements(there).joint[:, 1], 1e-6 * loads, rtol=1e-12)
+    (beyond,) = model.left_out_at(there)
+    further = 1e-6 * np.abs(loads - np.clip(loads, seen.min(), seen.max()))
+    np.testing.assert_allclose(np.abs(beyond.parts[0].basis[:, 0] * beyond.sigma), 0.3 * further, rtol=1e-3, atol=1e-15)
+    unnamed_one = replace(soft, name="unknown")
+    held = term_of(Covariates(here), unnamed_one, None, np.array([1e-6]), np.array([1e-8]))
+    moved = replace(model, terms=(held,)).displacements(there).joint[:, 1]
     np.testing.assert_allclose(moved, 1e-6 * np.clip(loads, seen.min(), seen.max()), rtol=1e-12)
 
 

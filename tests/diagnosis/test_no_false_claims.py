@@ -41,6 +41,16 @@ def test_clean_cells_with_outliers_are_clean(plan):
     assert verdict_of(found) == "none"
 
 
+def test_held_out_figures_count_the_centres_that_a_fit_rejects(plan):
+    found = diagnose(simulated.observe(plan, 105, outliers=0.02), folds=2).fit.held_out
+
+    rejected = found.centres - found.robust_centres
+    assert found.centres == plan.n_centres
+    assert 0 < rejected < 0.04 * plan.n_centres
+    assert found.before_rms_mm < 0.02  # the robust figure: noise
+    assert found.every_before_rms_mm == pytest.approx(3.0 * np.sqrt(3 * rejected / plan.n_centres), rel=0.4)
+
+
 def test_noise_is_estimated_whatever_the_cell_file_says(plan):
     reported = replace(plan, cell=replace(plan.cell, noise_mm=None))
 

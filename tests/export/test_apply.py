@@ -7,14 +7,20 @@ import pytest
 from click.testing import CliRunner
 from peer_open3d import open3d
 
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.cli.app import app
 from mbcacq.cli.apply import command
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.format import chains
 from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.geometry.flange_poses import flange_coordinates
+from mbcacq.model.cell import Artefact, Cell, Station, arm_of_flange_poses
+from mbcacq.model.observations import Observations
 from mbcacq.quantities import uncertainty
+from mbcacq.recording.datasets.loose_table import robot_of
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])
@@ -124,3 +130,77 @@ def test_the_command_keeps_what_the_cloud_carries(solved, result_file, tmp_path)
 def test_joint_angles_that_are_no_numbers_are_refused(result_file, tmp_path, joints):
     with pytest.raises(ConfigError, match="is not a list of numbers"):
         CliRunner().invoke(command, [str(result_file), "--joints", joints, str(tmp_path / "a.ply")], catch_exceptions=False)
+
+
+def nominal_cell(X, *, of_flange):
+    """A result of a cell whose hand-eye transform alone was calibrated: of a UR10e, or of the poses of its flange."""
+    robot = robot_of("ur10e")
+    rng = np.random.default_rng(2)
+    q = np.radians([0, -80, 90, 0, 50, 0]) + rng.uniform(-0.6, 0.6, (14, 6))
+    F = robot.chain.flange(q)
+    board = se3.inverse(F @ X) @ se3.from_abc(np.array([700.0, 50, 20]), np.radians([20.0, 5, 3]))
+    arm, q = (arm_of_flange_poses("arm", None, flange_coordinates(F)), flange_coordinates(F)) if of_flange else (robot, q)
+    artefact = Artefact("board", "", (1,), np.zeros((1, 3)), np.zeros(1))
+    cell = Cell(arm, X, (artefact,), (Station("s", "board"),))
+    k = np.arange(14)
+    obs = Observations(cell, k + 1, 0 * k, q, k, 0 * k, board[:, :3, 3], rotation=board[:, :3, :3])
+    return calibrate(obs, CalibrationOptions(kinematics=False)).to_dict()
+
+
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory):
+    """Twelve clouds of one point of the base, with tables of the joint angles and of the flange's poses, and both results."""
+    folder = tmp_path_factory.mktemp("placed")
+    X = se3.from_abc(np.array([40.0, -20, 110]), np.radians([30.0, -5, 170]))
+    q = np.radians([0, -80, 90, 0, 50, 0]) + np.random.default_rng(4).uniform(-0.5, 0.5, (12, 6))
+    F = robot_of("ur10e").chain.flange(q)
+    point = np.array([600.0, -80, 120])
+    (folder / "clouds").mkdir()
+    joints, flange = ["file,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"], ["file,X,Y,Z,A,B,C"]
+    for k, (angles, T) in enumerate(zip(q, F, strict=True), 1):
+        x, y, z = se3.apply(se3.inverse(T @ X), point)
+        header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
+        (folder / "clouds" / f"scan{k}.ply").write_text(f"{header}{x:.9f} {y:.9f} {z:.9f}\n")
+        joints.append(f"scan{k}.ply," + ",".join(f"{v:.10f}" for v in np.degrees(angles)))
+        xyz, abc = se3.to_abc(T)
+        flange.append(f"scan{k}.ply," + ",".join(f"{v:.10f}" for v in (*xyz, *np.degrees(abc))))
+    (folder / "joints.csv").write_text("\n".join([joints[0], *joints[:0:-1]]) + "\n")  # in another order
+    (folder / "flange.csv").write_text("\n".join(flange) + "\n")
+    (folder / "arm.json").write_text(json.dumps(nominal_cell(X, of_flange=False)))
+    (folder / "poses.json").write_text(json.dumps(nominal_cell(X, of_flange=True)))
+    return folder, point, flange[5]
+
+
+@pytest.mark.parametrize(("result", "table"), [("arm.json", "joints.csv"), ("arm.json", "flange.csv"), ("poses.json", "flange.csv")])
+def test_a_folder_is_placed_by_joints_and_by_poses_of_the_flange_alike(clouds, tmp_path, result, table):
+    folder, point, _ = clouds
+    words = [str(folder / result), str(folder / "clouds"), "--poses", str(folder / table), "--out", str(tmp_path / "placed"), "--json"]
+    done = CliRunner().invoke(command, words + (["--orientation", "kuka"] if table == "flange.csv" else []), catch_exceptions=False)
+    said = json.loads(done.stdout)
+    assert said["matched"] == "rows are matched by the names in column file"
+    assert len(said["clouds"]) == 12
+    for k in range(1, 13):
+        placed = (tmp_path / "placed" / f"scan{k}_base.ply").read_bytes().split(b"end_header\n")[1]
+        np.testing.assert_allclose(np.frombuffer(placed, "<f8", 3), point, atol=2e-6)
+
+
+def test_what_a_table_of_positions_leaves_open_is_asked(clouds, tmp_path):
+    folder, point, row = clouds
+    given = [str(folder / "poses.json"), str(folder / "clouds"), "--out", str(tmp_path / "out")]
+    open_ = CliRunner().invoke(command, [*given, "--poses", str(folder / "flange.csv")])
+    assert "leave the convention of the orientation open; say --orientation" in str(open_.exception)
+    (tmp_path / "short.csv").write_text("\n".join((folder / "flange.csv").read_text().splitlines()[:-1]) + "\n")
+    short = CliRunner().invoke(command, [*given, "--poses", str(tmp_path / "short.csv"), "--orientation", "kuka"])
+    assert "column file has no row for scan12.ply" in str(short.exception)
+    assert not (tmp_path / "out").exists()
+    one = [str(folder / "poses.json"), str(folder / "clouds" / "scan5.ply"), "--out", str(tmp_path / "one.ply")]
+    wrong = CliRunner().invoke(command, [*one, f"--flange={row.split(',', 1)[1]}", "--orientation", "abb"])
+    assert "--flange has 6 numbers" in str(wrong.exception)
+    assert CliRunner().invoke(command, [*one, f"--flange={row.split(',', 1)[1]}", "--orientation", "kuka"]).exit_code == 0
+    placed = (tmp_path / "one.ply").read_bytes().split(b"end_header\n")[1]
+    np.testing.assert_allclose(np.frombuffer(placed, "<f8", 3), point, atol=2e-6)
+
+
+def test_a_pose_of_the_flange_does_not_tell_the_posture_of_an_arm_with_calibrated_links(solved):
+    with pytest.raises(ConfigError, match="this result corrects the arm's links"):
+        place_scan(solved[0], flange_coordinates(np.eye(4)[None])[0], np.zeros((1, 3)), flange=True)

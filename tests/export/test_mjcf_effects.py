@@ -1,5 +1,7 @@
 """The exported MuJoCo model holds the effects that bodies and hinges can express: at rest it stands where the effects say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -7,6 +9,7 @@ import yaml
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import DescribedPart, linear, of
+from mbcacq.effects.learnt_range import LearntRange
 from mbcacq.exports.mjcf import expressed_effects, mjcf
 from mbcacq.geometry import se3
 from mbcacq.model import shipped
@@ -67,6 +70,16 @@ def at_rest(mujoco, text, q):
     mujoco.mj_forward(model, data)
     site = data.site("scanner")
     return se3.transform(site.xmat.reshape(3, 3), 1e3 * site.xpos)
+
+
+def test_what_was_learnt_over_a_part_of_the_range_is_no_constraint_between_hinges(learnt):
+    """A constraint would go on as far as the joint turns, the effect does not."""
+    *others, scale, coupling = learnt.terms
+    known = LearntRange.of("q1", np.radians(np.arange(-30.0, 31.0)), counts_turns=True)
+    held = replace(scale, ranges={"q1": known}, clamped=("q1",))
+    found = expressed_effects(replace(learnt, terms=(*others, held, coupling)))
+    assert found.left == ["joint_scale at A1"]
+    assert set(found.ratio) == {(5, 3)}
 
 
 def test_at_rest_it_stands_where_the_effects_say(learnt):

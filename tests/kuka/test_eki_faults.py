@@ -32,7 +32,7 @@ def test_faults_of_the_wire_that_are_none(eki_cell, fault):
         ({"no_number": 1}, ProtocolError, "Axis/@A1 is 'x"),
         ({"program_stop": 1}, DeviceFault, "program on the controller has stopped"),
         ({"emergency_stop": 1}, SafetyStop, "emergency stop"),
-        ({"mode": 1}, SafetyStop, "operating mode changed from 4 to 1"),
+        ({"mode": 1}, SafetyStop, "operating mode changed from EXT to T1"),
         ({"tool": 5}, SafetyStop, "tool changed from 1 to 4"),
     ],
 )

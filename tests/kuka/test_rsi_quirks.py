@@ -46,7 +46,7 @@ def test_too_few_decimals_are_named(cell, decimals):
         return
     error = until_error(robot)
     assert type(error) is DeviceFault
-    assert "1 decimals only" in str(error)
+    assert "1 decimal only" in str(error)
     assert "set Precision to 6" in str(error)
 
 

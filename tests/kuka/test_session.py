@@ -207,6 +207,17 @@ def test_silence_is_final(bench):
     assert one.cycle() is None
 
 
+def test_silence_after_discarded_answers_says_so(bench):
+    """A controller that counts in total stops at its own limit before a window of the last second fills."""
+    one = bench(late_limit=90)
+    for k in range(60):
+        (answered_late if k % 10 == 0 else Bench.cycle)(one)
+    one.session.idle(one.ipoc * 1e-3 + 1.1)
+    fault = one.shared.fault()
+    assert fault["kind"] == "silence"
+    assert "discarded 6 answers of this session as late or invalid" in fault["text"]
+
+
 def test_the_first_nearly_empty_telegram_of_old_controllers_is_answered_with_its_ipoc():
     shared = Shared.create()
     try:

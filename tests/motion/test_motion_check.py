@@ -46,7 +46,8 @@ def test_a_diagnosis_carries_its_checks_in_text_and_json(learnt):
     assert found.motion.fit.channels == diagnose([learnt]).motion.fit.channels  # and nothing of the diagnosis is decided by them
     read = MotionDiagnosis.from_json(found.motion.to_json())
     assert read.checks == found.motion.checks
-    assert "Tried on the other recording, from which nothing was learnt:\n  A1 torque" in found.text
+    assert "Tried on the other recording, from which nothing was learnt:\n  A1 torque" in found.in_words(whole=True)
+    assert "Tried on the other recording, from which nothing was learnt, before and after:" in found.text
 
 
 def test_motion_is_not_tried_on_poses(learnt, tmp_path):

@@ -207,3 +207,11 @@ class FakePort:
 
     def __exit__(self, *_):
         return None
+
+
+def test_a_unit_that_is_stated_but_not_known_is_named_and_the_plan_s_counts():
+    with FakeOpcUaServer(start_deg=HOME_DEG, arm=ArmNodes(unit="gon")) as fake:
+        with pytest.raises(ConfigError, match="states 'gon' as unit of axis 'Axis_1', which is not known here"):
+            arm(fake).connect()
+        with arm(fake, angle_unit="deg") as robot:
+            assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)

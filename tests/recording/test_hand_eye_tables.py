@@ -1,6 +1,7 @@
 """Tables of flange and target poses as controllers, cameras and other programs write them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from mbcacq.cli.data import command
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import orientations, se3
 from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
-from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
+from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table, robot_of
 
 X = se3.transform(Rotation.from_euler("ZYX", [-90, 2, 178], degrees=True).as_matrix(), np.array([40.0, -20, 110]))
 Z = se3.transform(Rotation.from_euler("ZYX", [20, 5, 3], degrees=True).as_matrix(), np.array([700.0, 50, 20]))
@@ -279,3 +280,70 @@ def test_measurements_that_never_change_are_no_measurements(tmp_path):
     C[:] = C[0]
     with pytest.raises(ConfigError, match="all 20 measurements are the same to the last digit"):
         read_loose_table(write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat()))
+
+
+@pytest.mark.parametrize(
+    ("stretched", "words"),
+    [
+        ((1.01, 1.01, 1.01), "the measured places times {}: the pitch or size of the target, or a unit is wrong by that"),
+        ((1.0, 1.0, 1.01), "the measured places along z of the scanner times {}: the focal length or the depth scale of the camera"),
+        ((1.0, 1.0, 1.0), ""),
+    ],
+    ids=["pitch", "focal length", "right"],
+)
+def test_a_length_that_the_poses_of_the_flange_contradict_is_said_with_what_it_would_be(stretched, words, tmp_path):
+    """1 / 1.01 = 0.9901; noise of 0.1 mm and 0.3 mrad, so that the factor is known to 0.001."""
+    F, C = poses(24)
+    rng = np.random.default_rng(3)
+    C[:, :3, 3] = (C[:, :3, 3] + rng.normal(0, 0.1, (24, 3))) * stretched
+    C[:, :3, :3] = C[:, :3, :3] @ se3.rotation_exp(rng.normal(0, 3e-4, (24, 3)))
+    path = write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat())
+    said = " ".join(map(str, mbcacq.calibrate(path, ALONE).to_dict().get("warnings", ())))
+    if not words:
+        assert "A length contradicts" not in said
+        return
+    before, after = words.split("{}")
+    assert f"A length contradicts the poses of the flange: with {before}" in said
+    assert after in said
+    factor = float(said.split(" times ")[1].split(" ± ")[0])
+    assert factor == pytest.approx(1 / 1.01, abs=2e-3)
+
+
+UR10E_ROWS = (
+    (180.7, 0, 90),
+    (0, -612.7, 0),
+    (0, -571.55, 0),
+    (174.15, 0, 90),
+    (119.85, 0, -90),
+    (116.55, 0, 0),
+)  # d, a, alpha as published
+
+
+def tool_by_the_controller(q, tool):
+    """(P, 3) mm: a point of the tool in the base of a UR10e, by its published parameters."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for angle, (d, a, alpha) in zip(q.T, UR10E_ROWS, strict=True):
+        turn = Rotation.from_euler("z", angle[:, None]).as_matrix() @ Rotation.from_euler("x", alpha, degrees=True).as_matrix()
+        along = np.stack([a * np.cos(angle), a * np.sin(angle), np.full(len(q), d)], axis=1)
+        T = T @ se3.transform(turn, along)
+    return se3.apply(T, np.tile(tool, (len(q), 1)))
+
+
+@pytest.mark.parametrize(("angle_decimals", "point_decimals"), [(4, 2), (2, 1), (7, 7)])
+def test_points_that_the_arm_computed_itself_are_asked_about(tmp_path, angle_decimals, point_decimals):
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-1, 1, (40, 6)) * [2, 1, 1.5, 2, 2, 3] + [0, -1.2, 1.2, 0, 0.8, 0]
+    computed = np.round(tool_by_the_controller(q, [5.0, -8.0, 120.0]), point_decimals)
+    header, angles = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm", np.round(np.degrees(q), angle_decimals)
+    table, options = write(tmp_path / "own.csv", header, angles, computed), TableOptions(robot=robot_of("ur10e"))
+    with pytest.raises(ConfigError, match="the points are where Universal Robots UR10e itself computes them from the joint angles"):
+        read_loose_table(table, options)
+    assert read_loose_table(table, replace(options, by_instrument=True)).observations.n_poses == 40
+    measured = write(tmp_path / "measured.csv", header, angles, computed + rng.normal(0, 0.3, computed.shape))
+    assert read_loose_table(measured, options).observations.n_poses == 40
+
+
+def test_a_table_without_a_header_is_refused_as_that(tmp_path):
+    (tmp_path / "numbers.csv").write_text("10.0,-20.0,30.0,1,2,3\n11.0,-21.0,31.0,2,3,4\n")
+    with pytest.raises(ConfigError, match=r"numbers.csv:1: the first line holds numbers, so there is no header"):
+        read_loose_table(tmp_path / "numbers.csv")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.devices import DeviceFault, IdentityError, same_model
-from mbcacq_kuka.eki.options import MODES, EkiOptions
+from mbcacq_kuka.eki.options import EkiOptions, mode_name
 from mbcacq_kuka.eki.telegrams import INTERFACE, WITHOUT_OUTPUTS, Hello, State
 
 _FRAME_MM, _FRAME_DEG = 0.01, 0.01
@@ -68,8 +68,9 @@ def check_tool(where: str, options: EkiOptions, hello: Hello, state: State) -> N
 
 def check_mode(where: str, options: EkiOptions, state: State) -> None:
     if state.mode not in options.modes:
-        mode = {v: k for k, v in MODES.items()}.get(state.mode, f"unknown ({state.mode})")
-        raise IdentityError(f"{where} is in mode {mode}, the plan expects {' or '.join(options.mode)}; turn the mode selector")
+        raise IdentityError(
+            f"{where} is in mode {mode_name(state.mode)}, the plan expects {' or '.join(options.mode)}; turn the mode selector"
+        )
     if options.override is not None and state.override != options.override:
         raise IdentityError(
             f"{where} has an override of {state.override} %, the plan expects {options.override} %; "

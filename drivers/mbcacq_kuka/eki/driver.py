@@ -15,6 +15,7 @@ from mbcacq.devices import (
     Cycles,
     Description,
     DeviceFault,
+    Fact,
     Field,
     MotionLimits,
     RobotState,
@@ -88,6 +89,15 @@ class KukaEki(ContextDevice):
             firmware="" if hello is None else hello.machine_data,
             verified_on_hardware=False,
         )
+
+    def facts(self) -> tuple[Fact, ...]:
+        """The load counts from the start of the controller's program, which ends the run; it is told with each connection. Tool, base and
+        operating mode end the run by themselves."""
+        session = self._session
+        if session is None or (state := session.state) is None:
+            return ()
+        load = () if (hello := session.hello) is None or hello.load_kg < 0 else (Fact("load", hello.load_kg, "kg", 0.05),)
+        return (*load, Fact("override", float(state.override), "%", 0.5, critical=False))
 
     def connect(self) -> None:
         """Connect, wait for the controller's program, compare its cell with the plan. Raises ConnectError, IdentityError, DeviceFault."""

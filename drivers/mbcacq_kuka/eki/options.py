@@ -14,6 +14,11 @@ from mbcacq_kuka.option_values import KukaOptions, PositiveSix, Six
 MODES = {"T1": 1, "T2": 2, "AUT": 3, "EXT": 4}
 
 
+def mode_name(mode: int) -> str:
+    """How the smartPAD calls an operating mode."""
+    return next((name for name, number in MODES.items() if number == mode), f"unknown ({mode})")
+
+
 def _modes(mode: Any) -> tuple[str, ...]:
     """One mode, or several."""
     modes = tuple(map(str, mode)) if isinstance(mode, list | tuple) else (str(mode),)

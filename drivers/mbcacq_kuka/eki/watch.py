@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from mbcacq.devices import DeviceFault, DeviceTimeout, MbcacqError, SafetyStop
+from mbcacq_kuka.eki.options import mode_name
 from mbcacq_kuka.eki.telegrams import REFUSALS, State
 
 _TAKE_S, _BEGIN_S, _REACH_S = 2.0, 3.0, 1.0  # robot time to take a move, to begin it, to come to the target once it is done
@@ -53,6 +54,7 @@ class Watch:
             return SafetyStop(f"{robot}: the program on the controller was started again during the run; start the run again as well")
         for what, words in _NAMES.items():
             if (now := getattr(state, what)) != (before := getattr(self._first, what)):
+                before, now = (mode_name(v) if what == "mode" else str(v) for v in (before, now))
                 return SafetyStop(f"{robot}: the {words} changed from {before} to {now} during the run; the arm is stopped")
         return None
 

@@ -39,6 +39,6 @@ def too_coarse(decimals: int, command: RsiCommand) -> str:
     if 0.5 * 10.0**-decimals <= command.tolerance:
         return ""
     return (
-        f"the telegrams show joint angles with {decimals} decimals only, too coarse to see an arrival within "
+        f"the telegrams show joint angles with {decimals} decimal{'s' * (decimals != 1)} only, too coarse to see an arrival within "
         f"{command.tolerance:.2g}°; set Precision to 6 at the ETHERNET object of the RSI context; nothing was moved"
     )

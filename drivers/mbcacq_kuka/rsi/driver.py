@@ -238,10 +238,11 @@ class KukaRsi(ContextDevice):
         process.begin()
         if process.decimals < _FINE_DECIMALS:
             _log.warning(
-                "robot '%s': the controller writes joint angles with %d decimals only, which is rounding to %g°: as much as the "
+                "robot '%s': the controller writes joint angles with %d decimal%s only, which is rounding to %g°: as much as the "
                 "joints of some arms scatter; set Precision to 6 at the ETHERNET object of its RSI context",
                 self._name,
                 process.decimals,
+                "s" * (process.decimals != 1),
                 10.0**-process.decimals,
             )
 

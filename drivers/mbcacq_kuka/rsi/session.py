@@ -137,7 +137,11 @@ class RsiSession:
     def idle(self, now: float) -> None:
         """No telegram for a while."""
         if self.connected and not self._muted and now - self.last_heard > self.silence_s:
-            self._fail(SessionFault("silence", f"the controller sent no telegram for {now - self.last_heard:.2f} s", muted=True))
+            self._fail(
+                SessionFault(
+                    "silence", f"the controller sent no telegram for {now - self.last_heard:.2f} s{self._lateness.in_words}", muted=True
+                )
+            )
         self._poll_command(now)
         quiet = now - max(self.last_heard, self._close_began)
         if self._closing and (not self.connected or self._muted or quiet > (0.06 if self._stops else 0.3)):

@@ -21,7 +21,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of
 from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, periods_covered
 from mbcacq.effects.in_words import effect_in_words
-from mbcacq.effects.learnt_range import learnt_ranges, with_a_range
+from mbcacq.effects.learnt_range import learnt_ranges, loads, with_a_range
 from mbcacq.effects.unmodelled import unit_of
 from mbcacq.model.observations import Observations
 
@@ -108,11 +108,13 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
 
     Its covariates are held at the ends of the range in which it was learnt: beyond, it goes on as a constant, whatever its functions do.
     A constant is what the zero of a joint or the place of a frame is as well, so it does not matter where the functions have their zero,
-    as it would if they faded. A periodic effect of the catalogue of which a period and more was seen is a law, and has no range.
+    as it would if they faded. A periodic effect of the catalogue of which a period and more was seen is a law, and has no range. What a
+    load winds up is proportional to it (Hooke), and compliances repeat between recordings where little else does: they go on, uncertain.
     """
     parts, k = candidate.parts(hyper), candidate.k
     values = {candidate.hyper.name: float(hyper)} if candidate.hyper is not None and hyper is not None else {}
     key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
+    laws = loads({name for part in parts for name in part.covariates}) if candidate.name != UNKNOWN else ()
     return EffectTerm(
         name=candidate.name,
         where=candidate.where,
@@ -127,7 +129,8 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
         variant=candidate.variant,
         hyper=values,
         ranges=learnt_ranges(here, parts),
-        clamped=limited(here, candidate, hyper),
+        clamped=tuple(name for name in limited(here, candidate, hyper) if name not in laws),
+        laws=laws,
     )
 
 

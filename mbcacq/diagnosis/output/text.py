@@ -78,7 +78,17 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
     rms, chi2 = micrometres(held.before_rms_mm), chi2_in_words(held.before_chi2_dof)
     if d.effects:
         rms, chi2 = f"{rms} before, {micrometres(held.after_rms_mm)} after", f"{chi2} before, {chi2_in_words(held.after_chi2_dof)} after"
+    if held.rejects:
+        rms = f"{every_centre(d)}; robust {rms} over {held.robust_centres}"
     return f"On held-out data (by {held.split}): {rms}; χ²/dof {chi2}; expected from noise alone: {floor.noise} (k = 2)."
+
+
+def every_centre(d: Diagnosis) -> str:
+    """The misfit of all held-out centres, those as well that the fit of all data rejects."""
+    held = d.fit.held_out
+    before = micrometres(held.every_before_rms_mm)
+    rms = f"{before} before, {micrometres(held.every_after_rms_mm)} after" if d.effects else before
+    return f"{rms} over all {held.centres} centres"
 
 
 def chi2_in_words(chi2_dof: float) -> str:
@@ -140,6 +150,8 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     chi2 = f"χ²/dof {chi2_in_words(held.before_chi2_dof)} before, {chi2_in_words(held.after_chi2_dof)} after"
     share = f"{min(max(removed, 0.0), 1.0):.0%} of the misfit beyond noise ({chi2}); " if floor.is_excess(held.before_chi2_dof) else ""
     much = f"{share}{before} before, {after} after" if d.effects else before
+    if held.rejects:
+        much += f" (robust, over {held.robust_centres} centres; {every_centre(d)})"
     much += f", on held-out data; noise alone leaves {floor.noise} (k = 2)"
     much += ", and an uncertain fit the rest" if floor.fit_is_the_rest else ""
     trend = [f"Trend, too weak for a figure: {_named(trends)}"] if trends else []

@@ -112,7 +112,8 @@ def geometry_scores(full: ModelFit, left_out: list[np.ndarray]) -> PredictiveSco
     """Held-out score of geometry alone."""
     linear = full.geometry_only.linear
     pose, keep = linear.obs.pose, linear.keep
-    return summed(held_out_score(linear, keep & ~test[pose], keep & test[pose], NO_EFFECTS, (), full.noise) for test in left_out)
+    masks = [test[pose] for test in left_out]
+    return summed(held_out_score(linear, keep & ~test, keep & test, NO_EFFECTS, (), full.noise, every=test) for test in masks)
 
 
 def summed(scores: Iterable[PredictiveScore]) -> PredictiveScore:

@@ -62,6 +62,23 @@ class RepeatedSearch:
         return self.how == "block" and len(self.left_out) == 2
 
 
+def repeated_early(problem: DiagnosisProblem, folds: int | None, pool: WorkerPool) -> tuple[RepeatedSearch, RepeatedSearch] | None:
+    """The search without each part of a long recording, and of its halves, begun before that of all of it, on which they do not depend;
+    None for a short recording. folds: as ``RepeatedSearch.begin``.
+    """
+    if not problem.in_part:
+        return None
+    again = RepeatedSearch.begin(problem, folds, pool, True)
+    return again, again if again.of_halves else RepeatedSearch.halves(problem, pool)
+
+
+def repeated(problem: DiagnosisProblem, full: ModelFit, folds: int | None, pool: WorkerPool) -> tuple[RepeatedSearch, RepeatedSearch]:
+    """The same of a recording at the linearisation of the fit of all of it, which was found before; its parts stand for halves."""
+    pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
+    again = RepeatedSearch.begin(problem.with_linearization(full.geometry_only.linear), folds, pool, bool(full.random))
+    return again, again
+
+
 def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool) -> PartModel:
     """The model found without a part, test (P,) bool, of the poses; groups at all locations of a long recording without their parts, which
     are large and the same for all. unmodelled: of a long recording, whether there is anything but effects of the catalogue.

@@ -53,12 +53,16 @@ def most_probable_size(values: np.ndarray, covariance: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class PredictiveScore:
-    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom."""
+    """Sums over the centres that took part in a fit: squared 3D distances (mm^2), count, chi2 and its degrees of freedom. of_every,
+    every: squares and count of all centres of the same poses, those as well that were rejected as gross outliers.
+    """
 
     square: float
     count: int
     chi2: float
     dof: float
+    of_every: float = 0.0
+    every: int = 0
 
     def __add__(self, other: PredictiveScore) -> PredictiveScore:
         return PredictiveScore(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
@@ -70,6 +74,10 @@ class PredictiveScore:
     @property
     def rms(self) -> float:
         return float(np.sqrt(self.square / max(self.count, 1)))
+
+    @property
+    def rms_of_every(self) -> float:
+        return float(np.sqrt(self.of_every / max(self.every, 1)))
 
     @property
     def chi2_dof(self) -> float:
@@ -93,9 +101,13 @@ class HeldOutPrediction:
         random: Sequence[RandomEffect],
         noise: Noise,
         products: Callable[[JointModel], tuple[ColumnProducts, ColumnProducts]] | None = None,
+        every: np.ndarray | None = None,
     ):
-        """products: where they are known, those of the columns over the poses of train and over those of test."""
+        """products: where they are known, those of the columns over the poses of train and over those of test. every: (M,) bool of all
+        centres that are judged, test and those that were rejected.
+        """
         self.linear, self.train, self.test, self.noise = linear, train, test, noise
+        self.every = test if every is None else every
         self.joint = JointModel(linear, model, random, linear.restricted(train | test).whitener(noise))
         self._poses = np.bincount(linear.obs.pose, train, linear.obs.n_poses) > 0
         self._seen, self._others = products(self.joint) if products else self.joint.columns.products_of_parts([self._poses, ~self._poses])
@@ -124,7 +136,8 @@ class HeldOutPrediction:
 
     def _scored(self, posterior: Posterior, others: ColumnProducts, left: np.ndarray) -> PredictiveScore:
         """left: (M, R) residual after the solution."""
-        return replace(score_with_new_stations(self.linear, self.train, self.test, left, self.noise), chi2=posterior.predicted(others))
+        score = score_with_new_stations(self.linear, self.train, self.test, left, self.noise, self.every)
+        return replace(score, chi2=posterior.predicted(others))
 
     def _with_change(self, own: slice, changed: np.ndarray) -> ColumnProducts:
         """The products of the centres left out where the columns of one effect change by these (M, R, k)."""
@@ -134,16 +147,22 @@ class HeldOutPrediction:
 
 
 def held_out_score(
-    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
+    linear: LinearProblem,
+    train: np.ndarray,
+    test: np.ndarray,
+    model: EffectSet,
+    random: Sequence[RandomEffect],
+    noise: Noise,
+    every: np.ndarray | None = None,
 ) -> PredictiveScore:
-    """The held-out score of a whole model."""
-    return HeldOutPrediction(linear, train, test, model, random, noise).score()
+    """The held-out score of a whole model. every: (M,) bool, as of ``HeldOutPrediction``."""
+    return HeldOutPrediction(linear, train, test, model, random, noise, every=every).score()
 
 
 def score_with_new_stations(
-    linear: LinearProblem, train: np.ndarray, test: np.ndarray, residual: np.ndarray, noise: Noise
+    linear: LinearProblem, train: np.ndarray, test: np.ndarray, residual: np.ndarray, noise: Noise, every: np.ndarray
 ) -> PredictiveScore:
-    """Residual (M, R) on test after the poses of stations that are not in train are fitted to it."""
+    """Residual (M, R) on test after the poses of stations that are not in train are fitted to it; also on every judged centre (M,)."""
     obs = linear.obs
     whiten = linear.restricted(test).whitener(noise)
     new_stations = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
@@ -155,7 +174,8 @@ def score_with_new_stations(
         residual = residual - station @ (width * np.linalg.solve(normal + np.eye(len(width)), Z.T @ whiten(residual)))
         dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(width)), normal)))
     r = whiten(residual)
-    return PredictiveScore(float(np.sum(residual[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
+    square, of_every = (float(np.sum(residual[some, :3] ** 2)) for some in (test, every))
+    return PredictiveScore(square, int(test.sum()), float(r @ r), dof, of_every, int(every.sum()))
 
 
 def training_score(joint: JointModel) -> tuple[PredictiveScore, np.ndarray]:
@@ -201,4 +221,4 @@ class SharedProducts:
         def products(joint: JointModel) -> tuple[ColumnProducts, ColumnProducts]:
             return self.of(joint, others), self.of(joint, [number])
 
-        return HeldOutPrediction(self.linear, keep & ~test, keep & test, model, random, noise, products)
+        return HeldOutPrediction(self.linear, keep & ~test, keep & test, model, random, noise, products, every=test)

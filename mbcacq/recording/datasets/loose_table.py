@@ -20,6 +20,7 @@ from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
+from mbcacq.model.joint_resolution import computed_by_the_arm
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
@@ -33,6 +34,7 @@ LEAST_POSES = 4
 NO_FIT_MM, NO_FIT = 1.0, 0.5  # residual, and its share of that of rows paired at random, from which no reading fits
 SHUFFLES = 5
 MOST_DOUBTED = 4  # readings in which a simple mistake is looked for
+WRONG_ARM_MM = 15.0  # residual that no arm leaves as its maker draws it: they err by 0.5 to 5 mm
 DOUBTFUL_MM = 0.5  # residual from which a simple mistake in the table is looked for; arms are off by less
 MEASUREMENTS = {
     ARTEFACT_IN_SCANNER: "scanner on the flange (eye in hand)",
@@ -50,7 +52,7 @@ class TableOptions:
     ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. flange_inverted, target_inverted: whether the base's pose in
     the flange stands in place of the flange's in the base, and the camera's in the target in place of the target's in the camera.
     columns: names of this program -> names in the file. robot: of joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere
-    in line profiles.
+    in line profiles. by_instrument: an instrument measured the points, though the arm's own kinematics give them to rounding.
     """
 
     flange: str | None = None
@@ -64,6 +66,7 @@ class TableOptions:
     robot: RobotModel | None = None
     noise_mm: tuple[float, float, float] | None = None
     diameter_mm: float | None = None
+    by_instrument: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,11 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
             "--flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, and turn more "
             "between the poses next time"
         )
+    if not options.by_instrument and (off := computed_by_the_arm(obs)) is not None:
+        raise ConfigError(
+            f"{table.path}: the points are where {obs.cell.robot.name} itself computes them from the joint angles, within {off:.3g} mm, "
+            "which is rounding: a calibration learns nothing from them; give what an instrument measured, or say --measured if one did"
+        )
     said = _sentences(obs, reading, options, best, [(made[j][0], misfit) for misfit, j in others])
     return UnderstoodTable(obs, (*said, *_unused(table, reading)))
 
@@ -145,6 +153,11 @@ def _refuse_unfitting(alike: Sequence[Observations], best_mm: float, table: Tabl
         return
     if mistake := next(filter(None, map(misdescribed, alike)), ""):
         raise ConfigError(f"{table.path}: {mistake}; correct the table, or say how it is meant")
+    if best_mm > WRONG_ARM_MM and joint_columns(table) and not obs.cell.robot.of_flange_poses:
+        raise ConfigError(
+            f"{table.path}: with {obs.cell.robot.name} the joint angles fit the measurements within {best_mm:.3g} mm only, where an arm "
+            "errs by a few: check that it is this arm (--robot), and the units and directions of its angles"
+        )
     rng = np.random.default_rng(0)
     paired_at_random = [_misfit(replace(obs, q=obs.q[rng.permutation(obs.n_poses)])) for _ in range(SHUFFLES)]
     if best_mm > max(NO_FIT_MM, NO_FIT * float(np.median(paired_at_random))):

@@ -116,8 +116,8 @@ class Drawing:
         balls.update(zip(np.asarray(event.ball).tolist(), se3.apply(T, np.asarray(event.xyz)), strict=True))
         scene.log_balls(self._rec, event.station, cell.artefact(artefact), balls)
 
-    def temperatures(self, values: Mapping[str, float]) -> None:
-        """Log the temperatures among some values, which are known by the ending of their names."""
+    def temperatures(self, values: Mapping[str, float], device: str = "") -> None:
+        """Log the temperatures among some values, which are known by the ending of their names. device: that stated them."""
         for name, value in values.items():
             if not name.endswith("_C"):
                 continue
@@ -125,7 +125,7 @@ class Drawing:
             if name not in self._drawn_temperatures:
                 colour = scene.CURVES[len(self._drawn_temperatures) % len(scene.CURVES)]
                 self._drawn_temperatures.add(name)
-                title = name.removesuffix("_C").replace("_", " ")  # the unit stands above the curves
+                title = f"{device} {name.removesuffix('_C').replace('_', ' ')}".strip()  # the unit stands above the curves
                 self._rec.log(entity, rr.SeriesLines(names=[drawable(title)], colors=[colour], widths=[1.5]), static=True)
             self._rec.log(entity, rr.Scalars(float(value)))
 

@@ -23,6 +23,7 @@ ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 9
 HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
 CURVES = [(86, 180, 233), (230, 159, 0), (0, 190, 140), (213, 94, 0), (204, 121, 167), (240, 228, 66), (150, 160, 255), (180, 180, 180)]
 MARKERS = [MarkerShape.Circle, MarkerShape.Diamond, MarkerShape.Square, MarkerShape.Up, MarkerShape.Cross, MarkerShape.Plus]
+LIMIT = (255, 255, 255)  # no ball and no series has it
 LARGEST_BOX = 2000.0  # mm
 SHAFT = 1e-6  # mm; a shorter offset is no link to draw
 
@@ -177,7 +178,7 @@ def fade_balls(rec: Stream, station: str, bright: bool) -> None:
 def log_limits(rec: Stream) -> None:
     """Names and colours of the limits that the spheres are judged by."""
     for name, label in (("rms", "limit"), ("points", "fewest"), ("zero", "zero")):
-        colour = BASE if name == "zero" else CURVES[3]
+        colour = BASE if name == "zero" else LIMIT
         rec.log(f"{layout.LIMITS}/{name}", rr.SeriesLines(names=[label], colors=[colour], widths=[1.5]), static=True)
 
 

@@ -238,7 +238,7 @@ class Recorder:
         for name, value in event.values.items():
             entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
             self._drawn.log(entity, rr.Scalars(float(value)))
-        self._drawing.temperatures(event.values)
+        self._drawing.temperatures(event.values, event.device)
 
     @_write.register
     def _(self, event: events.CyclesReceived) -> None:

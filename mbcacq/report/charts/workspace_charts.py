@@ -10,7 +10,8 @@ from mbcacq.report.content import AccuracyGrid, Coverage
 
 
 def joint_coverage(data: Coverage) -> Figure:
-    """Every pose on the range of each axis."""
+    """Every pose on the range of each axis, of an arm that has joints."""
+    assert data.q_deg is not None
     n = data.q_deg.shape[1]
     figure = Figure()
     for i, limits in enumerate(() if data.limits_deg is None else data.limits_deg):

@@ -14,7 +14,7 @@ from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.output.text import difference, first_sentence, likelihood, noise_floor, open_lines, size_of_shape
-from mbcacq.diagnosis.result import Diagnosis, FitFigures
+from mbcacq.diagnosis.result import Diagnosis, FitFigures, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate, Parameters
 from mbcacq.effects.in_words import CHANNELS, spelt_out
 from mbcacq.quantities import K, capitalised, fixed, micrometres, p_value, pair, percent, split_unit
@@ -33,7 +33,7 @@ def diagnosis_content(found: Diagnosis, pictures: Mapping[str, Any] | None, chec
     return DiagnosisContent(
         **what_every_diagnosis_says(found, floor, floor.is_excess(fit.held_out.before_chi2_dof)),
         mismatch=mismatch_rows(found),
-        validation=[(label, *_misfits(figures)) for label, figures in each],
+        validation=[(label, *_misfits(figures)) for label, figures in each] + _of_every_centre(fit.held_out),
         noise_floor=floor.noise,
         trials=list(map(trial_content, checks)),
         remarks=[
@@ -68,6 +68,14 @@ def _misfits(fit: FitFigures) -> tuple[str, str]:
     each = (fit.before_rms_mm, fit.before_chi2_dof), (fit.after_rms_mm, fit.after_chi2_dof)
     before, after = (f"{micrometres(rms)} (χ²/dof {chi2_dof:.2f})" for rms, chi2_dof in each)
     return before, after
+
+
+def _of_every_centre(held: HeldOutFigures) -> list[tuple[str, str, str]]:
+    """A row of all held-out centres, where the other one is robust."""
+    if not held.rejects:
+        return []
+    label = f"all {held.centres} held-out centres; above {held.robust_centres} of them, robust"
+    return [(label, micrometres(held.every_before_rms_mm), micrometres(held.every_after_rms_mm))]
 
 
 def trial_content(tried: Transfer) -> TrialContent:

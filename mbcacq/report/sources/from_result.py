@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
-from mbcacq.calibration.result_io import caveats
+from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
@@ -274,11 +274,15 @@ def _shown_unit(unit: str) -> tuple[str, float]:
 
 
 def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
-    noise = result["noise"]
-    out = [
-        (f"{_instrument(result)}, one centre along x, y, z", listed([1e3 * v for v in noise["scanner_mm"]]) + " µm"),
-        ("joint repeatability, A1 …", listed([1e6 * v for v in noise["joint_rad"]]) + " µrad"),
-    ]
+    noise, carrier = result["noise"], result["noise"]["joint_rad"]
+    if (view := noise_of_a_view(result)) is not None:
+        return [(f"one view, scanner and flange together; {ONE_VIEW}", f"{fixed(1e3 * view[0], 1)} µm, {fixed(1e6 * view[1], 1)} µrad")]
+    out = [(f"{_instrument(result)}, one centre along x, y, z", listed([1e3 * v for v in noise["scanner_mm"]]) + " µm")]
+    if of_flange_poses(result):
+        out.append(("poses of the flange, along x, y, z of the base", listed([1e3 * v for v in carrier[:3]]) + " µm"))
+        out.append(("poses of the flange, about x, y, z of the base", listed([1e6 * v for v in carrier[3:]]) + " µrad"))
+    else:
+        out.append(("joint repeatability, A1 …", listed([1e6 * v for v in carrier]) + " µrad"))
     if noise.get("turn_rad") is not None:
         out.append(("orientation of the target", f"{fixed(1e6 * noise['turn_rad'], 1)} µrad"))
     if noise.get("check_factor"):

@@ -49,7 +49,7 @@ def residuals(
         weighted=weighted,
         outlier=out,
         station=station,
-        q_deg=np.degrees(obs.q)[obs.pose],
+        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q)[obs.pose],
     )
 
 
@@ -60,20 +60,20 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=np.degrees(obs.q),
+        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q),
         limits_deg=np.degrees(obs.cell.robot.limits),
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,
         ball_phase=phase,
         arm=_arm(obs, state),
-        arm_radii=link_radii(state.chain),
+        arm_radii=None if obs.cell.robot.of_flange_poses else link_radii(state.chain),
     )
 
 
 def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
-    """(3 n, 3) mm: the links in the pose in the middle of the run, to draw the arm by."""
-    if not obs.n_poses:
+    """(3 n, 3) mm: the links in the pose in the middle of the run, to draw the arm by; None of poses of a flange."""
+    if not obs.n_poses or obs.cell.robot.of_flange_poses:
         return None
     return arm_outline(state.chain, obs.q[obs.n_poses // 2])
 

@@ -11,7 +11,12 @@ from asyncua.common.node import Node
 from asyncua.server.server import Server
 
 ROBOTICS, DI = "http://opcfoundation.org/UA/Robotics/", "http://opcfoundation.org/UA/DI/"
-CODES = {"deg": ("DD", "°"), "rad": ("C81", "rad"), "kg": ("KGM", "kg")}  # UNECE recommendation 20, and what is shown
+CODES = {
+    "deg": ("DD", "°"),
+    "rad": ("C81", "rad"),
+    "gon": ("A91", "gon"),
+    "kg": ("KGM", "kg"),
+}  # UNECE recommendation 20, and what is shown
 
 
 @dataclass(frozen=True)

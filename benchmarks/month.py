@@ -1,0 +1,153 @@
+"""A month with a cell, by the commands of the pages alone, in the fake cell.
+
+    python benchmarks/month.py [FOLDER]    # about ten minutes of processor time; FOLDER keeps the runs, else they are removed
+
+Two checks a day; on day 8 the scanner is hit, on day 15 a tool is changed, on day 18 a run is interrupted and resumed, on day 21 the disk
+is full, on day 24 the folder is copied to another computer and used there, on day 27 a second cell comes beside it. Prints a table of what
+was typed and said. Every draw of a day but the cell itself comes anew.
+"""
+
+from __future__ import annotations
+
+import re
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+MBCACQ = Path(sys.executable).parent / "mbcacq"
+FAST = {"  speed": "1.0", "  scan_time_s": "0.1", "exposures": "1"}
+HIT = {"name": "mount_shift", "at_pose": 0, "translation_mm": [0.15, -0.1, 0.05], "rotation_deg": [0.0, 0.02, 0.0]}
+TOOL = {"name": "mount_shift", "at_pose": 0, "translation_mm": [0.9, 0.4, -0.3], "rotation_deg": [0.1, 0.05, 0.0]}
+FULL_DISK_BYTES = 3_000_000
+
+
+class Cell:
+    """A folder with plans and runs, in which commands are typed. hidden: what has happened to the cell so far."""
+
+    def __init__(self, desk: Path):
+        self.desk, self.hidden, self.draw = desk, list[dict[str, object]](), 0
+        shutil.copytree(ROOT / "plans", desk / "plans")
+        text = (desk / "plans" / "kuka.yaml").read_text(encoding="utf-8")
+        for key, value in FAST.items():
+            text = re.sub(rf"^({key}:) [\d.]+", rf"\1 {value}", text, flags=re.MULTILINE)
+        self.plan = text
+
+    def today(self, seed: int = 0) -> None:
+        """The plan of the next recording: the same cell, with the noise of another day."""
+        self.draw += 1
+        fake = yaml.safe_dump({"fake": {"seed": seed, "noise_seed": self.draw, "hidden": self.hidden}})
+        (self.desk / "plans" / "kuka.yaml").write_text(f"{self.plan}\n{fake}", encoding="utf-8")
+
+    def type(self, day: int, command: str, before: Callable[[], None] | None = None, after_s: float | None = None) -> tuple[int, str]:
+        """Type a command; after_s: press Ctrl-C so long after its start. Prints the row of the table."""
+        began = time.perf_counter()
+        words = [str(MBCACQ), *shlex.split(command)[1:]]
+        with subprocess.Popen(
+            words, cwd=self.desk, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True, preexec_fn=before
+        ) as process:
+            if after_s is not None:
+                time.sleep(after_s)
+                process.send_signal(signal.SIGINT)
+            said = process.communicate()[0]
+        lines = said.splitlines()
+        told = [line for line in lines if re.match(r"mbcacq: |As before|The cell changed|Calibrated|Passed|Not passed", line)]
+        first = (told or lines or [""])[-1][:170].replace("|", "\\|")
+        print(f"| {day} | `{command}` | {time.perf_counter() - began:.0f} | {process.returncode} | {first} |", flush=True)
+        assert "Traceback" not in said, said
+        return process.returncode, said
+
+
+def full_disk() -> None:
+    """No file may become larger, as if the disk were full."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL_DISK_BYTES, FULL_DISK_BYTES))
+
+
+RUN, CHECK = "mbcacq run plans/kuka.yaml --dry-run", "mbcacq check runs/latest plans/kuka.yaml --dry-run --poses 6"
+
+
+def changed(cell: Cell, day: int, what: dict[str, object]) -> None:
+    """Something happened to the cell: the next check notices, and the arm is calibrated anew."""
+    cell.hidden = [what]
+    cell.today()
+    assert cell.type(day, CHECK)[0] == 11, "a change is noticed on the same day"
+    cell.today()
+    assert cell.type(day, RUN)[0] == 0
+
+
+def interrupted(cell: Cell, day: int) -> None:
+    cell.type(day, f"{RUN} --out runs/interrupted", after_s=12.0)
+    if (cell.desk / "runs" / "interrupted" / "journal.jsonl").exists():
+        assert cell.type(day, "mbcacq run --resume runs/interrupted --dry-run")[0] == 0
+
+
+def without_room(cell: Cell, day: int) -> None:
+    assert cell.type(day, f"{RUN} --out runs/full-disk", before=full_disk)[0] != 0
+
+
+def elsewhere(cell: Cell, day: int) -> None:
+    there = cell.desk.parent / "elsewhere"
+    shutil.copytree(cell.desk, there, symlinks=True)
+    cell.desk = there
+    assert cell.type(day, "mbcacq report latest")[0] == 0
+
+
+def second_cell(cell: Cell, day: int) -> None:
+    cell.today(seed=7)
+    assert cell.type(day, f"{RUN} --out runs/cell-b")[0] == 0
+    assert cell.type(day, CHECK.replace("runs/latest", "runs/cell-b"))[0] == 0
+    cell.today()
+
+
+def first_day(cell: Cell, day: int) -> None:
+    assert cell.type(day, RUN)[0] == 0
+
+
+DAYS: dict[int, Callable[[Cell, int], None]] = {
+    1: first_day,
+    8: lambda cell, day: changed(cell, day, HIT),
+    15: lambda cell, day: changed(cell, day, TOOL),
+    18: interrupted,
+    21: without_room,
+    24: elsewhere,
+    27: second_cell,
+}
+
+
+def month(base: Path) -> None:
+    """Thirty days in a folder."""
+    cell = Cell(base / "desk")
+    print("| day | typed | s | exit | said |\n|--:|---|--:|--:|---|")
+    for day in range(1, 31):
+        cell.today()
+        if day in DAYS:
+            DAYS[day](cell, day)
+        for _ in ("morning", "night"):
+            cell.today()
+            latest = max((cell.desk / "runs").glob("20*_kuka"))
+            assert cell.type(day, CHECK.replace("runs/latest", f"runs/{latest.name}"))[0] == 0, f"nothing changed on day {day}"
+    names = sorted(path.name for path in (cell.desk / "runs").glob("20*_kuka"))
+    cell.type(30, f"mbcacq compare runs/{names[0]} runs/{names[-1]}")
+
+
+def main() -> None:
+    if len(sys.argv) > 1:
+        Path(sys.argv[1]).mkdir(parents=True)
+        month(Path(sys.argv[1]))
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        month(Path(folder))
+
+
+if __name__ == "__main__":
+    main()

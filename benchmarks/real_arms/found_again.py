@@ -1,0 +1,111 @@
+"""Real arms diagnosed as a whole and in halves: which names, and which values, a second measurement would give again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from bench import HERE, put
+
+import mbcacq
+from mbcacq.diagnosis.validation.folds import blocks
+from mbcacq.model.observations import Observations
+from mbcacq.quantities import K
+
+POSES = ("ur5-tracker", "ur10-tracker-a", "ur10-tracker-c", "panda-sockets", "iiwa14-sockets")
+MOTION = "kr300"
+MOST_POSES = 3000  # of a campaign, at random
+ANGLES = ("phase_deg", "zero_deg")
+HEADER = "| recording | poses | named in a half | and in the other | share | figures in both | within U | held out mm: whole; halves |"
+
+
+def parts_of(name: str, data: Path) -> dict[str, Observations]:
+    """A recording as a whole, and its halves by blocks."""
+    obs = mbcacq.load_observations(data / name)
+    if obs.n_poses > MOST_POSES:
+        keep = np.zeros(obs.n_poses, bool)
+        keep[np.random.default_rng(0).permutation(obs.n_poses)[:MOST_POSES]] = True
+        obs = obs.select(keep)
+    half = blocks(obs, 2)
+    return {"whole": obs, "first": obs.select(half == 0), "second": obs.select(half == 1)}
+
+
+def found_in(content: dict) -> dict[str, dict]:
+    """The findings of a diagnosis, not its trends, by ``name:location``: their figures with standard deviations."""
+    out: dict[str, dict] = {}
+    for effect in content["effects"]:
+        if effect.get("trend"):
+            continue
+        for at in effect["where"]:
+            mine = {key: value for key, value in effect["parameters"].items() if key.startswith((f"{at}.", f"{at}("))}
+            out[f"{effect['name']}:{at}"] = mine or (effect["parameters"] if len(effect["where"]) == 1 else {})
+    return out
+
+
+def agreement(a: dict, b: dict) -> Iterator[bool]:
+    """Whether each component that two parts state of one effect agrees within U of both (k = 2)."""
+    for key in a.keys() & b.keys():
+        one, other = (np.atleast_2d(np.array([np.atleast_1d(e[key]["value"]), np.atleast_1d(e[key]["std"])], float)) for e in (a, b))
+        nearest = nearest_lines(key, a, b)
+        for j, k in nearest if nearest is not None else zip(range(one.shape[1]), range(other.shape[1]), strict=False):
+            apart = one[0, j] - other[0, k]
+            apart = (apart + 180) % 360 - 180 if key.endswith(ANGLES) else apart
+            yield bool(abs(apart) <= K * np.hypot(one[1, j], other[1, k]))
+
+
+def nearest_lines(key: str, a: dict, b: dict) -> list[tuple[int, int]] | None:
+    """Lines of a joint's periodic error go by their order; None for every other parameter."""
+    orders = f"{key.rpartition('.')[0]}.order"
+    if not key.endswith(("order", "amplitude_deg", "phase_deg")) or orders not in a or orders not in b:
+        return None
+    mine, theirs = (np.atleast_1d(e[orders]["value"]) for e in (a, b))
+    return [(j, int(np.argmin(np.abs(theirs - order)))) for j, order in enumerate(mine)]
+
+
+def row_of(name: str, poses: int, first: dict, second: dict, held: str) -> str:
+    """The figures of a recording and its halves."""
+    one, two = found_in(first), found_in(second)
+    both = one.keys() & two.keys()
+    named = len(one) + len(two)
+    within = [same for label in both for same in agreement(one[label], two[label])]
+    share = f"{2 * len(both) / named:.0%}" if named else "-"
+    alone = sorted(f"{label} in one half" for label in one.keys() ^ two.keys())
+    print(*alone, sep="\n", flush=True)
+    agree = f"{np.mean(within):.0%}" if within else "-"
+    return f"| {name} | {poses} | {named} | {2 * len(both)} | {share} | {len(within)} | {agree} | {held} |"
+
+
+def diagnosed(obs: Observations, file: Path) -> dict:
+    """The diagnosis as JSON content, kept in a file."""
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(mbcacq.diagnose(obs).poses.to_json()), encoding="utf-8")
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def found_again(given: argparse.Namespace) -> None:
+    """Each open recording diagnosed as a whole and in two halves by blocks, and the two runs of the KR 300 against each other.
+
+    --kept: diagnoses so far; go on with them.
+    """
+    rows = []
+    for name in given.sets or (*POSES, MOTION):
+        if name == MOTION:
+            runs = {run: given.kept / f"kr300-{run}.json" for run in "ab"}
+            for run, file in runs.items():
+                if not file.exists():
+                    found = mbcacq.diagnose(given.data / f"kr300-trajectory-{run}").motion
+                    file.write_text(json.dumps(found.to_json()), encoding="utf-8")
+            first, second = (json.loads(file.read_text(encoding="utf-8")) for file in runs.values())
+            rows.append(row_of("kr300, motion, run a and run b", 0, first, second, "-"))
+        else:
+            parts = parts_of(name, given.data)
+            whole, first, second = (diagnosed(obs, given.kept / f"{name}-{part}.json") for part, obs in parts.items())
+            held = "; ".join(f"{c['fit']['held_out']['after_rms_mm']:.3f}" for c in (whole, first, second))
+            rows.append(row_of(name, parts["whole"].n_poses, first, second, held))
+        print(rows[-1], flush=True)
+    if given.write:
+        put(HERE / "found_again.md", "\n".join([HEADER, "|---|--:|--:|--:|--:|--:|--:|---|", *rows]))
