@@ -1,22 +1,20 @@
 """A month with a cell, by the commands of the pages alone, in the fake cell.
 
-    python benchmarks/month.py [FOLDER]    # about ten minutes of processor time; FOLDER keeps the runs, else they are removed
+    python benchmarks/month.py FOLDER [EVERY]    # FOLDER keeps the runs; EVERY: days from one with checks to the next, 1 if left out
 
-Two checks a day; on day 8 the scanner is hit, on day 15 a tool is changed, on day 18 a run is interrupted and resumed, on day 21 the disk
-is full, on day 24 the folder is copied to another computer and used there, on day 27 a second cell comes beside it. Prints a table of what
-was typed and said. Every draw of a day but the cell itself comes anew.
+Two checks a day, about ten minutes of processor time in all; on day 8 the scanner is hit, on day 15 a tool is changed, on day 18 a run is
+interrupted and resumed, on day 21 the disk is full, on day 24 the folder is copied to another computer and used there, on day 27 a second
+cell comes beside it. Prints a table of what was typed and said. Every draw of a day but the cell itself comes anew.
 """
 
 from __future__ import annotations
 
 import re
-import resource
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +26,7 @@ MBCACQ = Path(sys.executable).parent / "mbcacq"
 FAST = {"  speed": "1.0", "  scan_time_s": "0.1", "exposures": "1"}
 HIT = {"name": "mount_shift", "at_pose": 0, "translation_mm": [0.15, -0.1, 0.05], "rotation_deg": [0.0, 0.02, 0.0]}
 TOOL = {"name": "mount_shift", "at_pose": 0, "translation_mm": [0.9, 0.4, -0.3], "rotation_deg": [0.1, 0.05, 0.0]}
-FULL_DISK_BYTES = 3_000_000
+SMALL_DISK = "6m"
 
 
 class Cell:
@@ -48,12 +46,16 @@ class Cell:
         fake = yaml.safe_dump({"fake": {"seed": seed, "noise_seed": self.draw, "hidden": self.hidden}})
         (self.desk / "plans" / "kuka.yaml").write_text(f"{self.plan}\n{fake}", encoding="utf-8")
 
-    def type(self, day: int, command: str, before: Callable[[], None] | None = None, after_s: float | None = None) -> tuple[int, str]:
-        """Type a command; after_s: press Ctrl-C so long after its start. Prints the row of the table."""
+    def type(self, day: int, command: str, disk: str = "", after_s: float | None = None) -> tuple[int, str]:
+        """Type a command. disk: a folder that is mounted as a small disk; after_s: press Ctrl-C so long after the start. Prints the row of
+        the table."""
         began = time.perf_counter()
         words = [str(MBCACQ), *shlex.split(command)[1:]]
+        if disk:
+            mounted = f"mkdir -p {disk} && mount -t tmpfs -o size={SMALL_DISK} none {disk} && exec {shlex.join(words)}"
+            words = ["unshare", "-Urm", "sh", "-c", mounted]
         with subprocess.Popen(
-            words, cwd=self.desk, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True, preexec_fn=before
+            words, cwd=self.desk, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True
         ) as process:
             if after_s is not None:
                 time.sleep(after_s)
@@ -65,12 +67,6 @@ class Cell:
         print(f"| {day} | `{command}` | {time.perf_counter() - began:.0f} | {process.returncode} | {first} |", flush=True)
         assert "Traceback" not in said, said
         return process.returncode, said
-
-
-def full_disk() -> None:
-    """No file may become larger, as if the disk were full."""
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL_DISK_BYTES, FULL_DISK_BYTES))
 
 
 RUN, CHECK = "mbcacq run plans/kuka.yaml --dry-run", "mbcacq check runs/latest plans/kuka.yaml --dry-run --poses 6"
@@ -92,7 +88,7 @@ def interrupted(cell: Cell, day: int) -> None:
 
 
 def without_room(cell: Cell, day: int) -> None:
-    assert cell.type(day, f"{RUN} --out runs/full-disk", before=full_disk)[0] != 0
+    assert cell.type(day, f"{RUN} --out small/run", disk="small")[0] != 0
 
 
 def elsewhere(cell: Cell, day: int) -> None:
@@ -124,7 +120,7 @@ DAYS: dict[int, Callable[[Cell, int], None]] = {
 }
 
 
-def month(base: Path) -> None:
+def month(base: Path, every: int) -> None:
     """Thirty days in a folder."""
     cell = Cell(base / "desk")
     print("| day | typed | s | exit | said |\n|--:|---|--:|--:|---|")
@@ -132,7 +128,7 @@ def month(base: Path) -> None:
         cell.today()
         if day in DAYS:
             DAYS[day](cell, day)
-        for _ in ("morning", "night"):
+        for _ in ("morning", "night") if day in DAYS or day % every == 0 else ():
             cell.today()
             latest = max((cell.desk / "runs").glob("20*_kuka"))
             assert cell.type(day, CHECK.replace("runs/latest", f"runs/{latest.name}"))[0] == 0, f"nothing changed on day {day}"
@@ -141,12 +137,9 @@ def month(base: Path) -> None:
 
 
 def main() -> None:
-    if len(sys.argv) > 1:
-        Path(sys.argv[1]).mkdir(parents=True)
-        month(Path(sys.argv[1]))
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        month(Path(folder))
+    base = Path(sys.argv[1])
+    base.mkdir(parents=True)
+    month(base, int(sys.argv[2]) if len(sys.argv) > 2 else 1)
 
 
 if __name__ == "__main__":

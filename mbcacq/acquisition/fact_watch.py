@@ -13,12 +13,12 @@ from mbcacq.devices import Device, Fact
 class FactWatch:
     """``look`` often, from any thread; ``mark`` where a pose begins, ``since_mark`` where it ends.
 
-    Every change is recorded with both values. The reference is what a device said first: poses under another value are left out until the
-    value is back, as they cannot be compared with those before.
+    Every change is recorded with both values. The reference is what a device said first, in a resumed run what was ``recorded`` before:
+    poses under another value are left out until the value is back, as they cannot be compared with those before.
     """
 
-    def __init__(self, devices: Mapping[str, Device], bus: EventBus) -> None:
-        self._devices, self._bus = devices, bus
+    def __init__(self, devices: Mapping[str, Device], bus: EventBus, recorded: Mapping[str, str] | None = None) -> None:
+        self._devices, self._bus, self._recorded = devices, bus, recorded or {}
         self._first: dict[tuple[str, str], Fact] = {}
         self._now: dict[tuple[str, str], Fact] = {}
         self._strange: dict[tuple[str, str], str] = {}
@@ -51,7 +51,11 @@ class FactWatch:
 
     def _compare(self, role: str, fact: Fact) -> None:
         key = role, fact.name
-        first, before = self._first.setdefault(key, fact), self._now.get(key, fact)
+        if key not in self._first:
+            text = self._recorded.get(f"{role} {fact.name}")
+            self._first[key] = fact if text is None else fact.recorded(text)
+        first = self._first[key]
+        before = self._now.get(key, first)
         self._now[key] = fact
         if fact.critical and fact.differs(first):
             self._strange[key] = f"the {role} reported {fact.name} {fact.text}, but {first.text} when the run began"

@@ -50,7 +50,8 @@ class Runner:
 
     ``find_balls`` extracts the centres of a scan. ``confirm`` is asked once, with the measured joints, before anything moves; it raises
     to refuse. ``pause`` is asked before each pose. ``known``: station -> ball -> place (3,) mm in the base frame, as measured before a
-    resume. ``simulated``: the devices are fakes. ``plan_files``: see ``mbcacq.acquisition.events.RunStarted``.
+    resume. ``facts``: what the devices reported then. ``simulated``: the devices are fakes. ``plan_files``: see
+    ``mbcacq.acquisition.events.RunStarted``.
     """
 
     loaded: LoadedPlan
@@ -69,6 +70,7 @@ class Runner:
     simulated: bool = False
     gates: GateOptions = GateOptions()
     plan_files: str = ""
+    facts: Mapping[str, str] = field(default_factory=dict)
 
     def run(self) -> None:
         """Connect, measure every pose, stop. Emits RunStopped in every case, then raises what ended the run early."""
@@ -121,7 +123,7 @@ class Runner:
         robot, plan = self.devices.robot, self.loaded.plan
         scanner = ReconnectingScanner(self.devices.scanner, robot, plan.scanner.reconnect_s, lambda text: self.bus.message("warning", text))
         placement = PlacementCheck(self.loaded.cell, plan.station_tolerance_mm, self.known)
-        facts = FactWatch(self.devices.all, self.bus)
+        facts = FactWatch(self.devices.all, self.bus, self.facts)
         facts.look()
         with CycleCollector(robot, self.bus, facts.look) as collector, ExitStack() as stack:
             stack.callback(robot.stop)  # before the collector is waited for, which may hang on a slow disk

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
@@ -43,6 +43,15 @@ class Fact:
     def text(self) -> str:
         """The value with its unit, e.g. '2.3 kg'."""
         return f"{self.value if isinstance(self.value, str) else format(self.value, '.6g')} {self.unit}".rstrip()
+
+    def recorded(self, text: str) -> Fact:
+        """This property with a value that was recorded as ``text`` earlier."""
+        if isinstance(self.value, str):
+            return replace(self, value=text)
+        try:
+            return replace(self, value=float(text.removesuffix(self.unit)))
+        except ValueError:
+            return replace(self, value=text)
 
     def differs(self, other: Fact) -> bool:
         """Whether the value is another one than that of ``other``."""

@@ -152,7 +152,7 @@ class Acquisition:
         from mbcacq.plan.routing import check_start
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.rrd.writer import Recorder
-        from mbcacq.recording.run_folder.journal import Journal
+        from mbcacq.recording.run_folder.journal import Journal, recorded_facts
         from mbcacq.recording.run_folder.recovery import WHOLE
         from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
         from mbcacq.spheres import SphereOptions, find_spheres
@@ -196,6 +196,7 @@ class Acquisition:
                 known=known,
                 simulated=self.simulated,
                 plan_files=plan_files,
+                facts=recorded_facts(self.folder) if self.done else {},
             ).run()
         if self.part:
             merge_parts(self.folder, message)

@@ -19,6 +19,8 @@ from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration, motion_limits
 from mbcacq.plan.schema import Plan
+from mbcacq.recording.run_folder.journal import Journal, recorded_facts
+from mbcacq.report.sources.run_folder import read_run_info
 
 CHAIN = Chain(
     np.array([-1.0, 1, 1, -1, 1, -1]),
@@ -85,7 +87,8 @@ class Recorded:
 
 def make(world, **changes):
     loaded, poses = world
-    parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
+    parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()}
+    parts |= {"facts": {}} | changes
     seen = Recorded()
     runner = Runner(
         loaded=loaded,
@@ -97,6 +100,7 @@ def make(world, **changes):
         find_balls=parts["finder"],
         cell_yaml="cell",
         done=parts["done"],
+        facts=parts["facts"],
     )
     return runner, seen, parts
 
@@ -377,6 +381,21 @@ def test_a_pose_under_another_load_is_left_out_and_both_values_are_recorded(worl
         e.text for e in seen.of(events.Gap)
     ]
     assert [e.facts["robot load"] for e in seen.of(events.PoseDone)] == ["2.3 kg", "2.35 kg", "2.35 kg"]
+
+
+def test_a_resumed_run_compares_with_what_was_recorded_before_and_the_report_shows_it(world, tmp_path):
+    """The load is 2.3 kg now; the first part of the run had 7 kg."""
+    runner, seen, _ = make(world, robot=Loaded({}), facts={"robot load": "7 kg"})
+    with pytest.raises(devices.DeviceFault, match="the robot reported load 2.3 kg, but 7 kg when the run began"):
+        runner.run()
+    assert [(e.before, e.now) for e in seen.of(events.FactChanged)] == [("7 kg", "2.3 kg")]
+    runner, seen, _ = make(world, robot=Loaded({}), facts={"robot load": "2.35 kg"})
+    journal = Journal(tmp_path)
+    runner.bus.subscribe(journal)
+    runner.run()
+    journal.close()
+    assert recorded_facts(tmp_path) == {"robot load": "2.3 kg"}
+    assert read_run_info(tmp_path)["identity"]["robot load, at the first pose"] == "2.3 kg"
 
 
 def test_a_load_that_changes_during_the_exposures_spoils_that_pose(world):

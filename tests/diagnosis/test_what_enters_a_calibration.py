@@ -32,8 +32,8 @@ def found():
     return EffectModel(plan.cell.robot, tuple(terms))
 
 
-def kept(found, split, without, before=None):
-    validation = CrossValidation(before or score(9.0, 2000.0), score(1.0, 300.0), split, without)
+def kept(found, split, without, before=None, refitted=None):
+    validation = CrossValidation(before or score(9.0, 2000.0), score(1.0, 300.0), split, without, refitted=refitted or {})
     model, said = predicting_better(found, FITTED, validation)
     return [t.name for t in model.terms], said
 
@@ -54,6 +54,14 @@ def test_an_effect_that_only_makes_the_prediction_less_certain_does_not_stay(fou
 def test_what_a_station_does_alone_is_not_judged_by_other_stations(found):
     without = {"joint_compliance": score(4.0, 900.0), "base_compliance": score(2.0, 400.0), "station_drift": score(1.0, 300.0)}
     assert kept(found, "station", without) == (["joint_compliance", "base_compliance", "station_drift"], [])
+
+
+def test_an_effect_that_no_part_finds_again_is_judged_with_its_own_coefficients(found):
+    same = {name: score(1.0, 300.0) for name in ("base_compliance", "station_drift")} | {"joint_compliance": score(4.0, 900.0)}
+    refitted = {"base_compliance": (score(0.8, 290.0), score(1.0, 320.0)), "station_drift": (score(0.8, 290.0), score(0.7, 280.0))}
+    names, said = kept(found, "block", same, refitted=refitted)
+    assert names == ["joint_compliance", "base_compliance"]
+    assert [sentence.split(" at ")[0] for sentence in said] == ["station_drift"]
 
 
 def test_effects_that_stand_for_each_other_stay_where_both_together_help(found):

@@ -177,3 +177,19 @@ def test_the_page_of_a_fleet_is_uncut_names_its_lines_and_has_dates(shown, scree
     listed = browser.run("document.getElementById('recordings').nextElementSibling.querySelectorAll('tr').length")
     assert listed == 16
     assert "simulated" in browser.run("document.querySelector('.caveat').textContent")
+
+
+def test_the_view_that_turns_is_turned_by_keys(whole_page):
+    picture = "document.getElementById('scene').toDataURL()"
+    with Browser() as browser:
+        browser.open(whole_page)
+        browser.run("document.getElementById('scene').focus()")
+        assert browser.run("document.activeElement.id") == "scene"
+        before = browser.run(picture)
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight", windowsVirtualKeyCode=39)
+        turned = browser.run(picture)
+        assert turned != before
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+        assert browser.run(picture) == before

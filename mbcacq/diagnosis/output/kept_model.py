@@ -40,6 +40,7 @@ def predicting_better(kept: EffectModel, full: ModelFit, validation: CrossValida
     """The effects without which held-out data are predicted worse, by misfit and by chi2, and a sentence on each of the others: these have
     no place in a calibration.
 
+    An effect that was not found again without any part says nothing there: then it is judged with its coefficients fitted without the part.
     What happens at one station alone is not known where whole stations are left out, and stays. Where two describe one thing, held-out data
     are predicted as well without either: they stay where nothing else is left and both together predict better.
     """
@@ -52,8 +53,9 @@ def predicting_better(kept: EffectModel, full: ModelFit, validation: CrossValida
         if t.name == UNKNOWN and full.everywhere:
             return validation.after.better_than(whole)
         labels = (f"{t.name}:{t.where[0]}",) if t.name == UNKNOWN else (label_of(t.name, t.where), t.name)
-        without = next((validation.without[label] for label in labels if label in validation.without), None)
-        return without is None or whole.better_than(without)
+        key = next((label for label in labels if label in validation.without), "")
+        with_it, without = validation.refitted.get(key, (whole, validation.without.get(key)))
+        return without is None or with_it.better_than(without)
 
     chosen = kept.select(helps)
     if not chosen and validation.after.better_than(validation.before):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.validation.folds import RepeatedSearch, evaluated_folds
+from mbcacq.diagnosis.validation.folds import Refitted, RepeatedSearch, evaluated_folds
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
 
 
@@ -31,6 +31,9 @@ class CrossValidation:
     parametric : PredictiveScore or None
         Where random effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then
         measured against it.
+    refitted : dict[str, tuple[PredictiveScore, PredictiveScore]]
+        Scores with and without effects that no search without a part has found: effects of all data, their coefficients fitted without
+        the part.
     """
 
     before: PredictiveScore
@@ -38,6 +41,7 @@ class CrossValidation:
     split: str
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore | None = None
+    refitted: Refitted = field(default_factory=dict)
 
     def gain(self, key: str) -> float:
         """Share of the held-out excess over the noise floor that an effect removes."""
@@ -94,10 +98,10 @@ def validated(full: ModelFit, again: RepeatedSearch, progress: Callable[[str], N
             progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
 
     begun(0)
-    results = evaluated_folds(full, again, keys, begun)
+    results, refitted = evaluated_folds(full, again, keys, begun)
     without = {key: summed(a.without[key] for a in results) for key in keys}
     parametric = summed(a.parametric for a in results) if full.everywhere else None
-    return CrossValidation(summed(a.before for a in results), summed(a.after for a in results), again.how, without, parametric)
+    return CrossValidation(summed(a.before for a in results), summed(a.after for a in results), again.how, without, parametric, refitted)
 
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, SharedProducts
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, SharedProducts
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
 
@@ -91,19 +91,26 @@ def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool)
 @dataclass(frozen=True)
 class FoldResult:
     """before, after: score on the fold with geometry alone and with the model found without it. without: the same without one effect, by
-    its key. parametric: without random effects.
+    its key. parametric: without random effects. missed: keys of effects that were not found without the fold.
     """
 
     before: PredictiveScore
     after: PredictiveScore
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore
+    missed: frozenset[str]
 
 
-def evaluated_folds(full: ModelFit, again: RepeatedSearch, keys: Sequence[str], searched: Callable[[int], None]) -> list[FoldResult]:
+Refitted = dict[str, tuple[PredictiveScore, PredictiveScore]]
+
+
+def evaluated_folds(
+    full: ModelFit, again: RepeatedSearch, keys: Sequence[str], searched: Callable[[int], None]
+) -> tuple[list[FoldResult], Refitted]:
     """The models found without each part, evaluated on that part under the noise of the fit of all data.
 
-    keys: effects to be left out in turn. searched: gets how many of the searches have ended.
+    keys: effects to be left out in turn. searched: gets how many of the searches have ended. Effects that none of the searches found have
+    scores with and without them as well, of the model of all data with its coefficients fitted without the part.
     """
     problem, models = again.problem, [(found.model, found.random) for found in again.models(searched)]
     if problem.in_part:
@@ -111,7 +118,16 @@ def evaluated_folds(full: ModelFit, again: RepeatedSearch, keys: Sequence[str], 
         alive = ((model, [g for g in random if groups]) for model, random in models)
         models = [(model, tuple(replace(groups[g.location, g.depends_on], sigma=g.sigma) for g in random)) for model, random in alive]
     products = SharedProducts(full.joint, models, again.left_out)
-    return [evaluated_fold(full, model, random, keys, products, number) for number, (model, random) in enumerate(models)]
+    results = [evaluated_fold(full, model, random, keys, products, number) for number, (model, random) in enumerate(models)]
+    missed = [key for key in keys if all(key in one.missed for one in results)]
+    nothing: Refitted = dict.fromkeys(missed, (NO_CENTRES, NO_CENTRES))
+    for number in range(len(models)) if missed else ():
+        random = () if full.everywhere else full.random
+        held = products.held_out(number, full.model, random, full.noise)
+        whole = held.score()
+        for key, (with_it, without) in nothing.items():
+            nothing[key] = with_it + whole, without + held.score(*all_but(full.model, random, key, keys))
+    return results, nothing
 
 
 def evaluated_fold(
@@ -122,12 +138,13 @@ def evaluated_fold(
     everywhere = full.everywhere
     after = held.score()
     whole = held.score(groups=()) if everywhere else after
-    without = {}
+    without, missed = {}, set[str]()
     for key in keys:
         effects, groups = all_but(model, () if everywhere else random, key, keys)
         same = len(effects) == len(model.members) and (everywhere or len(groups) == len(random))
+        missed |= {key} if same else set()
         without[key] = whole if same else held.score(effects, groups)
-    return FoldResult(held.score((), ()), after, without, whole)
+    return FoldResult(held.score((), ()), after, without, whole, frozenset(missed))
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:

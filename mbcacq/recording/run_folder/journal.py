@@ -77,6 +77,7 @@ class Journal:
             step=event.step,
             balls=len(event.ball),
             robot_time_s=float(event.robot_time_s),
+            **({"facts": dict(event.facts)} if event.facts else {}),
         )
 
     @_write.register
@@ -131,6 +132,20 @@ def read_journal(folder: Path | str) -> list[dict[str, Any]]:
         return read_lines(path).entries
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; is this a run folder?") from None
+
+
+def recorded_facts(folder: Path | str) -> dict[str, str]:
+    """What the devices reported of themselves at the first measured pose of a run, e.g. ``{"robot load": "2.3 kg"}``; empty where that was
+    not recorded."""
+    try:
+        entries = read_journal(folder)
+    except RecordingError:
+        return {}
+    found: dict[str, str] = {}
+    for entry in entries:
+        if entry.get("event") == "pose_done" and isinstance(facts := entry.get("facts"), dict):
+            found = {str(name): str(value) for name, value in facts.items()} | found
+    return found
 
 
 def read_log(folder: Path | str) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.findings import FORMAT as DIAGNOSIS_FORMAT
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.json_text import read_json, unsealed
 from mbcacq.recording.rrd import layout
-from mbcacq.recording.run_folder.journal import read_log
+from mbcacq.recording.run_folder.journal import read_log, recorded_facts
 
 IDENTITY = re.compile(r"(robot|scanner|positioner|sensor \d+): (.+)")  # a device's description; later messages add to it
 MAX_LINES = 5
@@ -52,7 +52,7 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
 
     folder = Path(folder)
     info = read_run_identity(folder) | {"folder": str(folder), "hashes": hashes(folder)}
-    info["identity"] = identities(folder)
+    info["identity"] = identities(folder) | {f"{name}, at the first pose": text for name, text in recorded_facts(folder).items()}
     if (devices := devices_of(folder)) is not None:
         info["devices"] = devices
     info |= read_kept_findings(folder)
