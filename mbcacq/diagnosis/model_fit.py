@@ -336,5 +336,5 @@ def joint_noise_factor(full: ModelFit) -> float:
     if not cell.robot.repeatability_mm:
         return 1.0
     factor = float(np.median(full.noise.joint / first_noise(cell).joint))
-    chance = 1.0 + SIGNIFICANT / np.sqrt(2.0 * max(dof, 1.0))
-    return factor if factor > OPTIONS.noticeable * chance else 1.0
+    scatter = 1.0 + SIGNIFICANT / np.sqrt(2.0 * max(dof, 1.0))
+    return factor if factor > OPTIONS.noticeable * scatter else 1.0
