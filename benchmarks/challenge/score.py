@@ -12,12 +12,14 @@ from functools import partial
 import numpy as np
 from bench import HERE, PLANS, Kept, put, wilson
 from detection_power import PowerCell, evidence_of, ninety_percent_point, search_multiple, try_cell, with_interval
+from statements import contradictions
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.run import _begin, _take
 from mbcacq.challenge.scenarios import NONE, Scenario, draw, kinds
 from mbcacq.challenge.score import Score
 from mbcacq.challenge.table import markdown, row, summary
+from mbcacq.diagnosis.result import Diagnosis
 
 # part: title, seed, effects, how many, share of outliers, missing columns
 
@@ -65,7 +67,8 @@ def measure_part(part: str, share: float, jobs: int, kept: Kept) -> None:
     wanted = max(int(round(share * count)), 1)
     todo = [e for e in draw(seed, wanted, names, outliers, missing) if e.number not in done]
     for scenario, outcome in measured(_take, todo, jobs):
-        kept.add({"part": part, "number": scenario.number, "seconds": outcome.seconds, "score": outcome.score.to_dict(), "code": CODE})
+        record = {"part": part, "number": scenario.number, "seconds": outcome.seconds, "score": outcome.score.to_dict(), "code": CODE}
+        kept.add({**record, "contradictions": contradictions(Diagnosis.from_json(outcome.diagnosis))})
 
 
 def measure_power(share: float, jobs: int, kept: Kept) -> None:
@@ -120,6 +123,7 @@ def score_page(kept: list[dict]) -> str:
         lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, {effects}, code {commits}; {took}.", "", markdown(rows), ""]
         lines += bounds(part, scores)
         lines += failures(mine, scores)
+        lines += against_itself([r["contradictions"] for r in mine if "contradictions" in r])
     return "\n".join(lines + power_lines(kept))
 
 
@@ -134,6 +138,14 @@ def bounds(part: str, scores: list[Score]) -> list[str]:
     low, high = wilson(sum(yes), len(yes))
     share = f"{100 * np.mean(yes):.1f} %, 95 % interval {low:.1f} to {high:.1f} %"
     return [f"{name.capitalize()}: {sum(yes)} of {len(yes)} ({share}).", ""]
+
+
+def against_itself(each: list[list[str]]) -> list[str]:
+    """How many diagnoses contradict themselves, and how (``benchmarks/statements.py``)."""
+    if not each:
+        return []
+    said = [f"- {one}" for some in each for one in some]
+    return [f"Contradict themselves: {sum(map(bool, each))} of {len(each)} diagnoses.", "", *said, *([""] if said else [])]
 
 
 def failures(records: list[dict], scores: list[Score]) -> list[str]:

@@ -116,7 +116,7 @@ def drawn_from(family: Family, limit: BandLimit, rng: np.random.Generator) -> tu
     between those of the grid too), any direction of the coefficients.
     """
     candidate = family.candidate
-    which, unit = parameters_of(candidate, limit.hyper)[family.parameter]
+    which, unit = parameters_of(candidate, limit.effect.hyper)[family.parameter]
     values = limit.band.values
     value = values[int(rng.integers(len(values)))]
     if candidate.periodic and value is not None:

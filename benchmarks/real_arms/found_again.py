@@ -16,9 +16,9 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K
 
 POSES = ("ur5-tracker", "ur10-tracker-a", "ur10-tracker-c", "panda-sockets", "iiwa14-sockets")
-MOTION = "kr300"
 MOST_POSES = 3000  # of a campaign, at random
 ANGLES = ("phase_deg", "zero_deg")
+ALIASES = 2.0  # orders within which two lines are the same
 HEADER = "| recording | poses | named in a half | and in the other | share | figures in both | within U | held out mm: whole; halves |"
 
 
@@ -33,14 +33,18 @@ def parts_of(name: str, data: Path) -> dict[str, Observations]:
     return {"whole": obs, "first": obs.select(half == 0), "second": obs.select(half == 1)}
 
 
-def found_in(content: dict) -> dict[str, dict]:
-    """The findings of a diagnosis, not its trends, by ``name:location``: their figures with standard deviations."""
+def found_in(content: dict, trends: bool = False) -> dict[str, dict]:
+    """The findings of a diagnosis by ``name:location``, with figures and standard deviations; with its trends, which have no figures."""
     out: dict[str, dict] = {}
     for effect in content["effects"]:
-        if effect.get("trend"):
+        if effect.get("trend") and not trends:
+            continue
+        if effect["name"] == "unknown":  # of a long recording at all locations: each is named by its size
+            for key, value in effect["parameters"].items():
+                out.setdefault(f"unknown:{key.partition('(')[0]}", {})[key] = value
             continue
         for at in effect["where"]:
-            mine = {key: value for key, value in effect["parameters"].items() if key.startswith((f"{at}.", f"{at}("))}
+            mine = {key: value for key, value in effect["parameters"].items() if key.startswith(f"{at}.")}
             out[f"{effect['name']}:{at}"] = mine or (effect["parameters"] if len(effect["where"]) == 1 else {})
     return out
 
@@ -62,20 +66,20 @@ def nearest_lines(key: str, a: dict, b: dict) -> list[tuple[int, int]] | None:
     if not key.endswith(("order", "amplitude_deg", "phase_deg")) or orders not in a or orders not in b:
         return None
     mine, theirs = (np.atleast_1d(e[orders]["value"]) for e in (a, b))
-    return [(j, int(np.argmin(np.abs(theirs - order)))) for j, order in enumerate(mine)]
+    nearest = [(j, int(np.argmin(np.abs(theirs - order)))) for j, order in enumerate(mine)]
+    return [(j, k) for j, k in nearest if abs(theirs[k] - mine[j]) <= ALIASES]  # the other half says that the rest is not determined
 
 
 def row_of(name: str, poses: int, first: dict, second: dict, held: str) -> str:
     """The figures of a recording and its halves."""
     one, two = found_in(first), found_in(second)
-    both = one.keys() & two.keys()
+    once = [*(one.keys() - found_in(second, True).keys()), *(two.keys() - found_in(first, True).keys())]
+    print(*(f"{label} in one half" for label in sorted(once)), sep="\n", flush=True)
     named = len(one) + len(two)
-    within = [same for label in both for same in agreement(one[label], two[label])]
-    share = f"{2 * len(both) / named:.0%}" if named else "-"
-    alone = sorted(f"{label} in one half" for label in one.keys() ^ two.keys())
-    print(*alone, sep="\n", flush=True)
+    within = [same for label in one.keys() & two.keys() for same in agreement(one[label], two[label])]
+    share = f"{1 - len(once) / named:.0%}" if named else "-"
     agree = f"{np.mean(within):.0%}" if within else "-"
-    return f"| {name} | {poses} | {named} | {2 * len(both)} | {share} | {len(within)} | {agree} | {held} |"
+    return f"| {name} | {poses} | {named} | {named - len(once)} | {share} | {len(within)} | {agree} | {held} |"
 
 
 def diagnosed(obs: Observations, file: Path) -> dict:
@@ -87,25 +91,16 @@ def diagnosed(obs: Observations, file: Path) -> dict:
 
 
 def found_again(given: argparse.Namespace) -> None:
-    """Each open recording diagnosed as a whole and in two halves by blocks, and the two runs of the KR 300 against each other.
+    """Each open recording of poses diagnosed as a whole and in two halves by blocks.
 
     --kept: diagnoses so far; go on with them.
     """
     rows = []
-    for name in given.sets or (*POSES, MOTION):
-        if name == MOTION:
-            runs = {run: given.kept / f"kr300-{run}.json" for run in "ab"}
-            for run, file in runs.items():
-                if not file.exists():
-                    found = mbcacq.diagnose(given.data / f"kr300-trajectory-{run}").motion
-                    file.write_text(json.dumps(found.to_json()), encoding="utf-8")
-            first, second = (json.loads(file.read_text(encoding="utf-8")) for file in runs.values())
-            rows.append(row_of("kr300, motion, run a and run b", 0, first, second, "-"))
-        else:
-            parts = parts_of(name, given.data)
-            whole, first, second = (diagnosed(obs, given.kept / f"{name}-{part}.json") for part, obs in parts.items())
-            held = "; ".join(f"{c['fit']['held_out']['after_rms_mm']:.3f}" for c in (whole, first, second))
-            rows.append(row_of(name, parts["whole"].n_poses, first, second, held))
+    for name in given.sets or POSES:
+        parts = parts_of(name, given.data)
+        whole, first, second = (diagnosed(obs, given.kept / f"{name}-{part}.json") for part, obs in parts.items())
+        held = "; ".join(f"{c['fit']['held_out']['after_rms_mm']:.3f}" for c in (whole, first, second))
+        rows.append(row_of(name, parts["whole"].n_poses, first, second, held))
         print(rows[-1], flush=True)
     if given.write:
         put(HERE / "found_again.md", "\n".join([HEADER, "|---|--:|--:|--:|--:|--:|--:|---|", *rows]))

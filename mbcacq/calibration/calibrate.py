@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.change import ChangeEvidence, evidence_of_change
+from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.competing_methods import best_on_held_out
 from mbcacq.calibration.contradiction import fault_while_recording, with_contradiction
 from mbcacq.calibration.description import misdescribed
@@ -27,10 +28,11 @@ from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, ref
 from mbcacq.calibration.with_discrepancy import evidence_gain, with_discrepancy
 from mbcacq.calibration.with_effects import refitted, refitted_effects
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.errors import CalibrationError, ContradictionError, MbcacqError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions, select_phases, without_copies
 from mbcacq.estimation.solver import one_thread
+from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations
 
 
@@ -129,6 +131,20 @@ def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
     cell = with_accident(with_nominal_arm(averaged_over_changes(cell, change)), change.found)
     refuse_unusable(cell)
     return cell
+
+
+def changed_while_recorded(obs: Observations, displaced: tuple[tuple[Term, np.ndarray], ...] = ()) -> ChangeFound | None:
+    """The change that a recording shows with its arm as described, whose links err at random; None where poses are too few to say.
+
+    displaced: effects that are known, as ``CalibrationOptions`` has them.
+    """
+    try:
+        with one_thread():
+            cell = cell_of(adjust_recording(obs, CalibrationOptions(kinematics=False, refuse=False, displaced=displaced)))
+            change = evidence_of_change(cell.adjustment)
+            return None if change.found is None else _smooth_or_sudden(cell, change)[1].found
+    except (MbcacqError, np.linalg.LinAlgError):
+        return None
 
 
 def _staged(observations: Observations, options: CalibrationOptions) -> CalibratedCell:

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.change_found import ChangeFound
-from mbcacq.errors import MbcacqError
 from mbcacq.estimation import terms
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linear_problem import ExtendedProblem
 from mbcacq.estimation.normal_equations import Prior
-from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import HAND_EYE
 from mbcacq.estimation.pose_information import WeightedRows
 from mbcacq.estimation.solution import Solution
@@ -28,7 +27,6 @@ from mbcacq.estimation.step_test import Steps, StepTest, measuring_order
 from mbcacq.estimation.variance_components import log_restricted_posterior, restricted_maximum_likelihood
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
-from mbcacq.model.observations import Observations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,17 +117,6 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
 def found_change(fitted: Adjustment) -> ChangeFound | None:
     """The change that a recording shows; see ``evidence_of_change``."""
     return evidence_of_change(fitted).found
-
-
-def changed_while_recorded(obs: Observations, displaced: tuple[tuple[terms.Term, np.ndarray], ...] = ()) -> ChangeFound | None:
-    """The change that a recording shows with its arm as described, whose links err at random; None where poses are too few to say.
-
-    displaced: effects that are known, as ``CalibrationOptions`` has them.
-    """
-    try:
-        return found_change(adjust_recording(obs, CalibrationOptions(kinematics=False, refuse=False, displaced=displaced)))
-    except (MbcacqError, np.linalg.LinAlgError):
-        return None
 
 
 def _with_balls_again(at: Solution) -> Solution:

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.calibrate import calibrate, changed_while_recorded
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import changed_while_recorded
 from mbcacq.calibration.held_out_poses import gross, rms
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out

@@ -125,6 +125,8 @@ class FoundAgain:
         True for halves that share no pose; False for a small recording, whose parts are all poses but one part of them.
     values : Mapping[str, tuple[ParameterEstimate, ...]]
         By parameter, one estimate for each part in which it was found.
+    size_spread : Number
+        Of something unmodelled, the relative standard deviation of sizes as disjoint parts differ, pooled over all locations.
     """
 
     at: str
@@ -132,6 +134,7 @@ class FoundAgain:
     parts: int
     disjoint: bool
     values: Mapping[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
+    size_spread: Number = 0.0
 
     @property
     def repeats(self) -> bool:

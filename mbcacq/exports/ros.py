@@ -5,9 +5,12 @@ Metres; quaternions x y z w.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.geometry import orientations
 from mbcacq.model import yaml12
 from mbcacq.recording.datasets import quaternions
 
@@ -63,6 +66,22 @@ def generate_launch_description():
         ]),
     ])
 '''
+
+
+def urdf_fragment(T: np.ndarray, parent: str = "tool0", child: str = "scanner_frame", comments: Sequence[str] = ()) -> str:
+    """Link and fixed joint of the frame, for a xacro to include (``xacro:include``) or to be copied into a URDF; fixed axes."""
+    xyz, (roll, pitch, yaw) = _metres(T)[:3], orientations.to_numbers(np.asarray(T, dtype=float)[None, :3, :3], "xyz")[0]
+    origin = f'xyz="{" ".join(f"{v:.10g}" for v in xyz)}" rpy="{roll:.12g} {pitch:.12g} {yaw:.12g}"'
+    said = "".join(f"  <!-- {line.replace('--', '- -')} -->\n" for line in comments)
+    return f"""<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+{said}  <link name="{_frame(child)}"/>
+  <joint name="{_frame(child)}_mount" type="fixed">
+    <parent link="{_frame(parent)}"/>
+    <child link="{_frame(child)}"/>
+    <origin {origin}/>
+  </joint>
+</robot>
+"""
 
 
 def _arguments(T: np.ndarray, parent: str, child: str) -> list[str]:

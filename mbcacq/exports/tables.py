@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.geometry import orientations
 from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets import quaternions
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a cell that begins so is a formula to spreadsheets
 
@@ -30,6 +32,27 @@ def verification_csv(result: Mapping[str, Any]) -> str:
     places = (result.get("verification") or {}).get("places") or []
     keys = ("station", "ball_a", "ball_b", "certified_mm", "before_mm", "after_mm", "expected_mm")
     return _csv(result, keys, ([p["station"], *p["balls"], *(p.get(k) for k in keys[3:])] for p in places))
+
+
+def tool_frames_csv(result: Mapping[str, Any], T: np.ndarray) -> str:
+    """The frame on the flange, T (4, 4) mm, as the tool of each make's controller: what to type or paste, in its units and convention."""
+    x, y, z = T[:3, 3].tolist()
+
+    def numbers(maker: str) -> np.ndarray:
+        return orientations.to_numbers(T[None, :3, :3], orientations.MAKERS[maker])[0]
+
+    a, b, c = np.degrees(numbers("kuka"))
+    w, p, r = np.degrees(numbers("fanuc"))
+    rx, ry, rz = numbers("ur")
+    q = ",".join(f"{v:.9f}" for v in quaternions.from_matrix(T[:3, :3]))
+    place = f"{x:.4f},{y:.4f},{z:.4f}"
+    rows = [
+        ("KUKA", "TOOL_DATA, mm and deg", f"{{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}}}"),
+        ("Universal Robots", "URScript, m and rad", f"set_tcp(p[{x / 1e3:.7f},{y / 1e3:.7f},{z / 1e3:.7f},{rx:.7f},{ry:.7f},{rz:.7f}])"),
+        ("ABB", "tframe of tooldata, mm and quaternion", f"[[{place}],[{q}]]"),
+        ("FANUC", "UTOOL, mm and deg", f"X {x:.4f} Y {y:.4f} Z {z:.4f} W {w:.5f} P {p:.5f} R {r:.5f}"),
+    ]  # fmt: skip
+    return _csv(result, ("controller", "place", "frame"), rows)
 
 
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.calibration.change import changed_while_recorded
+from mbcacq.calibration.calibrate import changed_while_recorded
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations

@@ -12,6 +12,7 @@ from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.step_test import StepTest
 from mbcacq.geometry import se3
+from mbcacq.workflow.load import load_observations
 
 HAND_EYE_ALONE = CalibrationOptions(kinematics=False)
 NOISE = (0.005, 0.005, 0.009)
@@ -132,3 +133,24 @@ def test_the_score_is_that_of_a_refit():
         step = at.whitening(rows.pad(kind.columns * (at.lineariser.obs.pose >= t)[:, None, None])).reshape(-1, 6)
         with_step = np.concatenate([A, np.concatenate([step, np.zeros((g, 6))])], axis=1)
         assert gain[t] == pytest.approx(left(A) - left(with_step), rel=1e-4)
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize(
+    ("name", "first", "alone"),
+    [
+        ("hand-scanner-slip", 21, True),
+        ("hand-scanner-turn", 43, True),
+        ("hand-scan-step-z", 33, True),
+        ("whole-mount-rescrew", None, False),
+    ],
+)
+def test_strikes_that_somebody_else_made_are_named_with_their_pose(shared_data, name, first, alone):
+    folder = shared_data.parent / "cases" / "strikes" / name
+    if not folder.exists():
+        pytest.skip(f"{folder} is missing")
+    found = calibrate(load_observations(folder), HAND_EYE_ALONE if alone else None)
+    change = found.extra["change"]
+    assert change["kind"] in ("mount", "scanner")
+    assert first is None or (abs(change["before"] - first) <= 1 and abs(change["after"] - first) <= 1)
+    assert found.extra["warnings"][0].startswith("Something changed while the recording was made: the scanner's mount slipped")

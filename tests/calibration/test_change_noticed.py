@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from erring_arms import LAWS, erring_arm
 from test_change import HAND_EYE_ALONE, cell_of, slipped
 
 from mbcacq.acquisition import events
@@ -42,6 +43,12 @@ def test_the_operator_is_told_at_the_station_after_the_scanner_slipped_and_once(
 @pytest.mark.parametrize("seed", range(3))
 def test_nobody_is_disturbed_by_a_run_in_which_nothing_changes(seed):
     assert warnings_of_run(cell_of(40 + seed).observations) == []
+
+
+@pytest.mark.parametrize("name", ["elastic A2, A4", "gear errors of orders 2 to 4"])
+def test_what_depends_on_posture_is_no_accident(name):
+    learn, _, _ = erring_arm(LAWS[name], 1)
+    assert warnings_of_run(learn) == []
 
 
 def test_a_recording_in_which_the_scanner_slipped_is_named_where_a_calibration_is_tried_on_it():

@@ -138,8 +138,8 @@ def test_what_hides_an_effect_acts_elsewhere_too(projected, few, setup):
     gear = one(few, "gear_transmission_error", "A2")
     (limit,) = limits_of_bands(with_confounders(projected, gear, few), gear, [band_of(gear, SLOW)])
     there = as_measured(setup.context)
-    alone = there.displacement(limit.sized)
-    hidden = Compensation.of(projected, there).displacement(limit.sized, confounders(gear, few))
+    alone = there.displacement(limit.effect)
+    hidden = Compensation.of(projected, there).displacement(limit.effect, confounders(gear, few))
     # A station absorbs what moves all of its poses alike.
     station = setup.linear.obs.station
     left, by_itself = (within(moved, station, there) for moved in (hidden, alone))
@@ -174,7 +174,7 @@ def test_limits_hold_at_moments_within_a_station_alone(projected, few, setup):
 def test_nothing_is_limited_where_it_was_found(projected, few):
     gear, scale = one(few, "gear_transmission_error", "A4"), one(few, "joint_scale", "A5")
     limits = limits_of(projected, [gear, scale], [Member(gear, 2.0), Member(scale, None)])
-    assert {e.candidate.name for e in limits} == {"gear_transmission_error"}
+    assert {limit.effect.candidate.name for limit in limits} == {"gear_transmission_error"}
     assert not any(min(e.band.values) <= 2.0 <= max(e.band.values) for e in limits)
 
 

@@ -8,10 +8,13 @@ import simulated
 
 from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
-from mbcacq.diagnosis.output.orders import stated_orders
+from mbcacq.diagnosis.model_fit import PartModel
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
+from mbcacq.diagnosis.output.orders import pooled_spread, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.folds import blocks
-from mbcacq.diagnosis.validation.found_again import jackknife, with_spread_between_parts
+from mbcacq.diagnosis.validation.found_again import jackknife, shows, size_spread, with_spread_between_parts
 from mbcacq.diagnosis.verdict import not_found_again
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -80,6 +83,22 @@ def test_an_order_that_does_not_tell_whole_numbers_apart_is_not_stated(sigma, de
     assert ("A6.rms_deg" in found.parameters) is not determined
 
 
+def test_lines_closer_than_two_periods_over_the_travel_are_not_determined_where_halves_were_asked():
+    near, far = (with_orders(gear(one, [0.01, 0.01], halves=[one, one])) for one in ([11.0, 12.2], [11.0, 12.6]))
+    assert not any(one.determined for one in near.orders)
+    assert all(one.determined for one in far.orders)
+
+
+def test_an_order_is_no_surer_than_those_of_all_joints_differ_between_halves():
+    gears = [gear([22.0], [0.003], halves=[[21.99], [22.01]]), gear([11.0], [0.003], halves=[[10.9], [11.1]])]
+    spread = pooled_spread(gears, {"A6": RESOLUTION})
+    assert spread.order == pytest.approx(np.sqrt((0.1**2 + 0.01**2) / 2) / RESOLUTION)
+    (parts,) = gears[0].found_again
+    found = stated_orders(gears[0], "A6", [()], parts, RESOLUTION, spread, 0.5)
+    assert found.parameters["A6.order"].std == pytest.approx(spread.order * RESOLUTION)
+    assert found.parameters["A6.phase_deg"].std == pytest.approx(np.hypot(2.0, np.degrees(0.5 * spread.order * RESOLUTION)), rel=1e-3)
+
+
 def test_more_than_three_peaks_leave_an_order_undetermined():
     peaks = tuple(OrderPeak(7.0 + 24 * k, 0.01, 0.9) for k in range(1, 4))
     two, four = (with_orders(gear([7.0], [0.01]), [peaks[:n]]) for n in (1, 3))
@@ -116,6 +135,33 @@ def test_a_size_is_no_surer_than_halves_agree():
     assert found.parameters["A2.compliance_rad_per_Nm"] == ParameterEstimate(9e-6, pytest.approx(1.3e-6))
     overlapping = replace(soft, found_again=tuple(replace(one, disjoint=False) for one in soft.found_again))
     assert with_spread_between_parts([overlapping]) == [overlapping]
+
+
+def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
+    def model(*sizes):
+        groups = [RandomEffect(f"A{j + 1}", f"q{j + 1}", (), size * np.array([1.0, 0.5])) for j, size in enumerate(sizes)]
+        return PartModel(model=NO_EFFECTS, random=tuple(groups), stated={})
+
+    spread = size_spread(model(2.0, 3.0).random, [model(1.8, 3.3), model(2.2, 2.7)])
+    assert spread == pytest.approx(0.1 / 0.6745)
+    unmodelled = EffectFound(
+        name="unknown",
+        where=("A1",),
+        parameters={"A1(q1).rms_mm": ParameterEstimate(0.05, 0.001), "A2(q2).rms_mm": ParameterEstimate(0.02, 0.004)},
+        p_value=1e-9,
+        held_out_gain=0.9,
+        found_again=(FoundAgain("A1", 2, 2, True, size_spread=spread),),
+    )
+    (found,) = with_spread_between_parts([unmodelled])
+    assert [p.std for p in found.parameters.values()] == [pytest.approx(0.05 * spread), 0.004]
+
+
+def test_something_unmodelled_that_a_part_has_under_another_name_is_found_again():
+    named = EffectSet((Member(simulated.candidate("lost_motion", "A3", [1.0]), None),))
+    part = PartModel(model=named, random=(), stated={})
+    assert shows(part, "A3", {"backlash:A3"})
+    assert not shows(part, "A3", {"lost_motion:A3"})
+    assert not shows(part, "A2", set())
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():

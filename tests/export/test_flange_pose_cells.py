@@ -1,5 +1,6 @@
 """A cell that is known by the poses of its flange has no joints: every command works on it, or says in one sentence why it cannot."""
 
+import csv
 import json
 import re
 import shutil
@@ -7,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from defusedxml import ElementTree
 from scipy.spatial.transform import Rotation
 
 import mbcacq
@@ -122,3 +124,51 @@ def test_noise_that_one_target_cannot_split_is_stated_as_its_sum(tmp_path):
     assert "scanner and flange together; one target at a pose does not tell their shares apart" in said
     place, _ = noise_of_a_view(json.loads((tmp_path / "result.json").read_text()))
     assert place == pytest.approx(0.096, rel=0.25)  # of 40 views, at three standard deviations
+
+
+def in_abb(text):
+    place, q = json.loads(text)
+    return se3.transform(Rotation.from_quat([*q[1:], q[0]]).as_matrix(), np.array(place))
+
+
+def in_universal_robots(text):
+    values = np.array([float(v) for v in text.removeprefix("set_tcp(p[").removesuffix("])").split(",")])
+    return se3.transform(Rotation.from_rotvec(values[3:]).as_matrix(), 1e3 * values[:3])
+
+
+def in_words_and_degrees(axes):
+    def read(text):
+        values = np.array([float(v) for v in re.findall(r"-?\d+\.\d+", text)])
+        return se3.transform(Rotation.from_euler(axes, values[3:], degrees=True).as_matrix(), values[:3])
+
+    return read
+
+
+CONTROLLERS = {
+    "KUKA": in_words_and_degrees("ZYX"),
+    "FANUC": in_words_and_degrees("xyz"),
+    "ABB": in_abb,
+    "Universal Robots": in_universal_robots,
+}
+
+
+def test_the_frame_on_the_flange_is_one_in_every_file(cell, tmp_path):
+    out = tmp_path / "out"
+    assert run("export", cell / "run", "--results", out, "--flange-frame", "flange")[0] == 0
+    T = np.array(json.loads((cell / "run" / "result.json").read_text())["T_flange_scanner"])
+    rows = list(csv.DictReader((out / "tool_frames.csv").read_text().splitlines()))
+    assert {row["controller"] for row in rows} == set(CONTROLLERS)
+    for row in rows:
+        np.testing.assert_allclose(CONTROLLERS[row["controller"]](row["frame"]), T, atol=2e-4)
+    robot = ElementTree.parse(out / "scanner.urdf.xacro").getroot()
+    joint = robot.find("joint")
+    assert (joint.find("parent").get("link"), joint.find("child").get("link")) == ("flange", "scanner_frame")
+    xyz, rpy = ([float(v) for v in joint.find("origin").get(name).split()] for name in ("xyz", "rpy"))
+    np.testing.assert_allclose(se3.transform(Rotation.from_euler("xyz", rpy).as_matrix(), 1e3 * np.array(xyz)), T, atol=1e-6)
+    kept = json.loads((out / "hand_eye.json").read_text())
+    np.testing.assert_allclose(Rotation.from_quat(kept["quaternion_xyzw"]).as_matrix(), T[:3, :3], atol=1e-9)
+    assert kept["translation_mm"] == pytest.approx(T[:3, 3].tolist())
+    assert any("never verified" in note for note in kept["notes"])
+    off = np.linalg.inv(T) @ X  # the truth, as a motion of the scanner in its own frame
+    twist = np.r_[off[:3, 3], Rotation.from_matrix(off[:3, :3]).as_rotvec()]
+    assert twist @ np.linalg.solve(np.array(kept["covariance"]), twist) < 22.5  # chi square of 6 degrees of freedom, at 1e-3

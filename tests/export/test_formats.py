@@ -46,7 +46,7 @@ def test_the_format_of_the_page_is_written_alone_and_with_the_others(solved, res
 
 def test_chosen_formats_are_written_alone(result_file, tmp_path):
     run(result_file, "--results", tmp_path / "out", "--only", "kuka", "--only", "result")
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"tool_data.txt", "result.json", "result.schema.json"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"tool_data.txt", "result.json", "result.schema.json", "hand_eye.json"}
 
 
 def test_a_name_of_no_format_is_refused_with_the_installed_ones(result_file, tmp_path):

@@ -347,3 +347,17 @@ def test_a_table_without_a_header_is_refused_as_that(tmp_path):
     (tmp_path / "numbers.csv").write_text("10.0,-20.0,30.0,1,2,3\n11.0,-21.0,31.0,2,3,4\n")
     with pytest.raises(ConfigError, match=r"numbers.csv:1: the first line holds numbers, so there is no header"):
         read_loose_table(tmp_path / "numbers.csv")
+
+
+def test_orientations_that_are_exact_do_not_make_places_more_certain_than_they_are(tmp_path):
+    """A simulation's orientations have no noise; those of places is 0.05 mm. Chi square of 36 degrees of freedom is below 68, at 1e-3."""
+    chi2 = 0.0
+    for seed in range(12):
+        F, C = poses(16, seed)
+        C[:, :3, 3] += np.random.default_rng(seed + 99).normal(0, 0.05, (16, 3))
+        path = write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat())
+        found = mbcacq.calibrate(path, ALONE)
+        off = (se3.inverse(found.state.T_flange_scanner) @ X)[:3, 3]
+        at = [found.names.index(f"hand_eye.{c}") for c in "xyz"]
+        chi2 += off @ np.linalg.solve(found.covariance[np.ix_(at, at)], off)
+    assert chi2 < 68

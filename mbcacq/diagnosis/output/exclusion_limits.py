@@ -36,22 +36,13 @@ from mbcacq.effects.effect import MOMENT, Candidate
 
 @dataclass(frozen=True, kw_only=True)
 class BandLimit:
-    """The limit of one parameter over a band. hyper, coefficients (k,): as large as the limit, at the value and in the direction that are
-    determined least; inf where the geometry absorbs them.
-    """
+    """The limit of one parameter over a band. effect: as large as that, at the value and in the direction that are determined least."""
 
-    candidate: Candidate
+    effect: Member
     band: LimitBand
     parameter: str
     value: float
-    hyper: float | None
-    coefficients: np.ndarray
     in_usual_sizes: float
-
-    @property
-    def sized(self) -> Member:
-        """The effect as large as the limit."""
-        return Member(self.candidate, self.hyper, coefficients=self.coefficients)
 
 
 def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
@@ -191,31 +182,15 @@ def limits_of_band(scan: BandScan, band: LimitBand) -> list[BandLimit]:
         h, d = np.unravel_index(int(precision.argmin()), precision.shape)
         coefficients = np.zeros(candidate.k)
         coefficients[which] = size * along[d] / unit * candidate.typical[which]
-        out.append(
-            BandLimit(
-                candidate=candidate,
-                band=own,
-                parameter=name,
-                value=size,
-                hyper=own.values[h],
-                coefficients=coefficients,
-                in_usual_sizes=float(size / np.max(unit)),
-            )
-        )
+        effect = Member(candidate, own.values[h], coefficients=coefficients)
+        out.append(BandLimit(effect=effect, band=own, parameter=name, value=size, in_usual_sizes=float(size / np.max(unit))))
     return out
 
 
 def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit:
     """No limit: the geometry absorbs the effect at every value of the band."""
-    return BandLimit(
-        candidate=candidate,
-        band=band,
-        parameter=parameter,
-        value=np.inf,
-        hyper=band.values[0],
-        coefficients=np.full(candidate.k, np.inf),
-        in_usual_sizes=np.inf,
-    )
+    effect = Member(candidate, band.values[0], coefficients=np.full(candidate.k, np.inf))
+    return BandLimit(effect=effect, band=band, parameter=parameter, value=np.inf, in_usual_sizes=np.inf)
 
 
 def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -248,15 +223,15 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     others = [c for c in few if c.location not in found]
     out: dict[tuple, ExclusionLimit] = {}
     for limit in limits_of(problem, few, effects):
-        gone = not np.isfinite(limit.value)
-        if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
+        gone, candidate = not np.isfinite(limit.value), limit.effect.candidate
+        if gone and (catalogue.declaration(candidate.name).acts_in_time or harmless(there, limit.effect)):
             continue
         tested = limit.in_usual_sizes <= OPTIONS.largest_usual
-        moved = compensation.displacement(limit.sized, confounders(limit.candidate, others)) if tested else None
+        moved = compensation.displacement(limit.effect, confounders(candidate, others)) if tested else None
         workspace_mm, length_mm = errors_of(there, moved)
         one = ExclusionLimit(
-            name=limit.candidate.name,
-            where=limit.candidate.where,
+            name=candidate.name,
+            where=candidate.where,
             parameter=limit.parameter,
             value=None if gone else limit.value,
             workspace_mm=workspace_mm,
@@ -271,7 +246,7 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
 
 def holds_for(context: Context, limit: BandLimit) -> ExclusionBand | None:
     """The band of a limit as it is reported: moments by the numbers of their poses."""
-    hyper, band = limit.candidate.hyper, limit.band
+    hyper, band = limit.effect.candidate.hyper, limit.band
     if hyper is None:
         return None
     values = np.array(band.values, dtype=float)

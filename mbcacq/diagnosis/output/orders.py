@@ -7,7 +7,7 @@ posterior over all peaks has few of them, each of them sharp, and where disjoint
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -16,6 +16,7 @@ from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain, PossibleOrder
 from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART, OrderPeak, other_peaks, resolution_of
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.search.effect_columns import covariates
 from mbcacq.diagnosis.validation.found_again import jackknife
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.quantities import K
@@ -26,30 +27,73 @@ ONE_PEAK = 0.4  # of the resolution, within which orders of two parts are one
 ALIASES = 2.0  # orders, or one resolution, within which what parts have is the same line
 LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of which a joint has one component for each line
 RMS = "rms_deg"  # of the periodic error of a joint, all lines together
+CROWDED = 2.0  # resolutions, within which two lines of a joint trade with each other where the error is no sum of sines
+
+
+@dataclass(frozen=True)
+class HalfDifference:
+    """By how much halves of a recording differ, pooled over all lines of all joints: two values alone may agree by chance.
+
+    Attributes
+    ----------
+    order : float
+        Standard deviation of an order, in resolutions of its joint.
+    size : float
+        Relative standard deviation of the rms of a joint.
+    """
+
+    order: float = 0.0
+    size: float = 0.0
+
+
+NO_DIFFERENCE = HalfDifference()
 
 
 def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
     """The effects; periodic errors with all orders that they may have, and with the parameters of those lines alone that have one."""
     reported = reported_hypothesis(full.evidence)
     peaks: dict[str, list[tuple[OrderPeak, ...]]] = {}
-    resolution: dict[str, float] = {}
+    resolution, middle = dict[str, float](), dict[str, float]()
     for member in reported.catalogued:
         if member.candidate.periodic:
             at = member.candidate.where[0]
             peaks.setdefault(at, []).append(other_peaks(reported, member))
             resolution[at] = resolution_of(reported, member.candidate)
-    out = []
+            middle[at] = float(np.mean(covariates(reported.point.linear).value(member.candidate.depends_on)))
+    out, spread = [], pooled_spread(effects, resolution)
     for effect in effects:
         for at in effect.where:
             if f"{at}.order" in effect.parameters and at in peaks:
                 parts = next((one for one in effect.found_again if one.at == at and one.disjoint), None)
-                effect = stated_orders(effect, at, peaks[at], parts, resolution[at])
+                effect = stated_orders(effect, at, peaks[at], parts, resolution[at], spread, middle[at])
         out.append(effect)
     return out
 
 
+def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float]) -> HalfDifference:
+    """The difference over all joints whose periodic errors disjoint parts have. resolution: by joint."""
+    orders, sizes = list[float](), list[float]()
+    for effect in effects:
+        for one in effect.found_again:
+            name = f"{one.at}.order"
+            if not one.disjoint or name not in effect.parameters or one.at not in resolution:
+                continue
+            own = [[OrderPeak(float(order), 0.0, 1.0)] for order in effect.parameters[name].components[0]]
+            _, lines = seen_in_parts(own, one.values.get(name, ()), resolution[one.at])
+            orders += [line[0].sigma / resolution[one.at] for line in lines if line[0].sigma > 0]
+            each = rms_in_parts(one, f"{one.at}.amplitude_deg")
+            sizes += [float(jackknife(each[:, None])[0] / each.mean())] if len(each) > 1 else []
+    return HalfDifference(*(float(np.sqrt(np.mean(np.square(some)))) if some else 0.0 for some in (orders, sizes)))
+
+
 def stated_orders(
-    effect: EffectFound, at: str, others: Sequence[Sequence[OrderPeak]], parts: FoundAgain | None, resolution: float
+    effect: EffectFound,
+    at: str,
+    others: Sequence[Sequence[OrderPeak]],
+    parts: FoundAgain | None,
+    resolution: float,
+    spread: HalfDifference = NO_DIFFERENCE,
+    middle: float = 0.0,
 ) -> EffectFound:
     """The effect with the orders of one joint.
 
@@ -61,24 +105,33 @@ def stated_orders(
         What disjoint parts of the recording have, where there are such.
     resolution
         Distance of two orders that differ by one period over the travel.
+    spread
+        By how much halves differ.
+    middle
+        Mean of the angle, rad: an order is turned about it, and the phase at zero with it.
     """
     orders, sigmas = (np.array(x) for x in effect.parameters[f"{at}.order"].components)
     lines = []
     for j, (order, sigma) in enumerate(zip(orders, sigmas, strict=True)):
         further = others[j] if j < len(others) else ()
-        lines.append([OrderPeak(float(order), float(sigma), 1.0), *further])
+        lines.append([OrderPeak(float(order), max(float(sigma), spread.order * resolution), 1.0), *further])
     in_parts = np.ones(len(orders), int)
     if parts is not None:
         in_parts, lines = seen_in_parts(lines, parts.values.get(f"{at}.order", ()), resolution)
     least = 1 if parts is None else parts.parts
     known = [count >= least and is_determined(line) for count, line in zip(in_parts, lines, strict=True)]
+    if parts is not None:
+        apart = np.abs(orders[:, None] - orders) + np.diag(np.full(len(orders), np.inf))
+        known = [sure and bool(nearest > CROWDED * resolution) for sure, nearest in zip(known, apart.min(axis=1), strict=True)]
     listed = [
         PossibleOrder(at, number, peak.order, peak.sigma, peak.odds, determined)
         for number, (line, determined) in enumerate(zip(lines, known, strict=True), 1)
         for peak in line
     ]
     single = [determined and len(line) == 1 for determined, line in zip(known, lines, strict=True)]
-    parameters = of_lines(effect.parameters, at, [line[0].sigma for line in lines], single, parts)
+    total = np.array([line[0].sigma for line in lines])
+    turned = np.degrees(np.sqrt(np.maximum(total**2 - sigmas**2, 0.0)) * abs(middle))
+    parameters = of_lines(effect.parameters, at, (total, turned), single, parts, spread)
     return replace(effect, parameters=parameters, orders=(*effect.orders, *listed))
 
 
@@ -116,10 +169,15 @@ def is_determined(line: Sequence[OrderPeak]) -> bool:
 
 
 def of_lines(
-    parameters: Mapping[str, ParameterEstimate], at: str, sigmas: Sequence[float], single: Sequence[bool], parts: FoundAgain | None
+    parameters: Mapping[str, ParameterEstimate],
+    at: str,
+    sigmas: tuple[np.ndarray, np.ndarray],
+    single: Sequence[bool],
+    parts: FoundAgain | None,
+    spread: HalfDifference = NO_DIFFERENCE,
 ) -> dict[str, ParameterEstimate]:
     """The parameters with those lines of a joint alone that have a single order; where others are left out, the rms of all lines together,
-    which is determined whatever their orders.
+    which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
     """
     columns = {name: np.array(parameters[f"{at}.{name}"].components) for name in LINE if f"{at}.{name}" in parameters}
     chosen = np.flatnonzero(single)
@@ -130,20 +188,31 @@ def of_lines(
             out[key] = stated
             continue
         values, stds = columns[name]
-        stds = np.maximum(stds, sigmas) if name == "order" else stds
+        if name == "order":
+            stds = np.maximum(stds, sigmas[0])
+        elif name == "phase_deg":
+            stds = np.hypot(stds, sigmas[1])
+        elif name == "amplitude_deg":
+            stds = np.maximum(stds, spread.size * values)
         if len(chosen) == 1:
             out[key] = ParameterEstimate(float(values[chosen[0]]), float(stds[chosen[0]]))
         elif len(chosen):
             out[key] = ParameterEstimate(tuple(values[chosen].tolist()), tuple(stds[chosen].tolist()))
     if not all(single) and "amplitude_deg" in columns:
         values, stds = columns["amplitude_deg"]
-        out[f"{at}.{RMS}"] = rms_of_lines(values, stds, parts, f"{at}.amplitude_deg")
+        out[f"{at}.{RMS}"] = rms_of_lines(values, stds, rms_in_parts(parts, f"{at}.amplitude_deg"), spread)
     return out
 
 
-def rms_of_lines(values: np.ndarray, stds: np.ndarray, parts: FoundAgain | None, name: str) -> ParameterEstimate:
-    """Rms over a whole period of all lines of a joint, deg, by their amplitudes (k,); no surer than disjoint parts differ by."""
+def rms_in_parts(parts: FoundAgain | None, name: str) -> np.ndarray:
+    """(n,) rms of all lines of a joint in each part, deg; name: of the amplitudes."""
+    return np.array([] if parts is None else [np.sqrt(np.sum(np.square(p.components[0])) / 2) for p in parts.values.get(name, ())])
+
+
+def rms_of_lines(values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference) -> ParameterEstimate:
+    """Rms over a whole period of all lines of a joint, deg, by their amplitudes (k,); no surer than disjoint parts differ by. each: (n,) of
+    the parts.
+    """
     rms = float(np.sqrt(values @ values / 2))
-    std = float(np.sqrt(np.sum((values * stds) ** 2)) / (2 * max(rms, 1e-300)))
-    each = [] if parts is None else [np.sqrt(np.sum(np.square(p.components[0])) / 2) for p in parts.values.get(name, ())]
-    return ParameterEstimate(rms, max(std, float(jackknife(np.array(each)[:, None])[0])) if len(each) > 1 else std)
+    std = max(float(np.sqrt(np.sum((values * stds) ** 2)) / (2 * max(rms, 1e-300))), spread.size * rms)
+    return ParameterEstimate(rms, max(std, float(jackknife(each[:, None])[0])) if len(each) > 1 else std)

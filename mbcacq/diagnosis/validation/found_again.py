@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain
-from mbcacq.diagnosis.evidence.between_sets import by_effect, difference, like, orders_matched
+from mbcacq.diagnosis.evidence.between_sets import BY, by_effect, difference, like, orders_matched
 from mbcacq.diagnosis.model_fit import ModelFit, PartModel
+from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN
@@ -17,6 +18,7 @@ from mbcacq.effects.over_time import NAME as MOMENT
 from mbcacq.quantities import K
 
 Repetitions = Mapping[str, FoundAgain]  # by ``name:where``
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
 SAME_MOMENT = 0.05  # share of the poses within which two moments may be one: parts have not the same poses
 
 
@@ -29,17 +31,31 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
     out = {}
     for label in dict.fromkeys(m.label for m in full.model.members):
         found = [part.stated[label] for part in parts if label in part.stated and same_moment(own[label], part.stated[label], poses)]
-        values = {name: tuple(stated[name] for stated in found if name in stated) for name in own[label]}
+        values = {name.partition(BY)[0]: tuple(stated[name] for stated in found if name in stated) for name in own[label]}
         out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
     for at in dict.fromkeys(group.location for group in full.random):
-        found_in = sum(shows(part, at) for part in parts)
-        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves)
+        found_in = sum(shows(part, at, own) for part in parts)
+        spread = size_spread(full.random, parts) if again.of_halves else 0.0
+        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
     return out
 
 
-def shows(part: PartModel, at: str) -> bool:
-    """Whether a part has something unmodelled at a location."""
-    return any(group.location == at for group in part.random)
+def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> float:
+    """Relative standard deviation of the sizes of random effects, as parts differ by, pooled over those that all parts have."""
+    own = {(g.location, g.depends_on): g.sigma for g in whole}
+    each = [{(g.location, g.depends_on): g.sigma for g in part.random} for part in parts]
+    both = [key for key in own if all(key in sizes and np.shape(sizes[key]) == np.shape(own[key]) for sizes in each)]
+    ratios = np.array([[float(np.median(sizes[key] / own[key])) for key in both] for sizes in each])
+    # By the median: sizes of what is hardly there differ by far more than those that are reported.
+    return float(np.median(jackknife(ratios) / ratios.mean(axis=0)) / MEDIAN_OF_NORMAL) if both else 0.0
+
+
+def shows(part: PartModel, at: str, reported: Container[str]) -> bool:
+    """Whether a part has something unmodelled at a location, or what is not reported there (``name:where``): that is the same error under
+    a name.
+    """
+    named = any(at in m.candidate.where and m.label not in reported for m in part.model.members)
+    return named or any(group.location == at for group in part.random)
 
 
 def same_moment(own: Parameters, other: Parameters, poses: int) -> bool:
@@ -61,6 +77,10 @@ def with_spread_between_parts(effects: Sequence[EffectFound]) -> list[EffectFoun
 def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
     out = dict(effect.parameters)
     for one in effect.found_again:
+        if one.size_spread:
+            for name, stated in effect.parameters.items():
+                values, stds = (np.array(x) for x in stated.components)
+                out[name] = like(stated, values, np.maximum(stds, one.size_spread * np.abs(values)))
         here = {name: effect.parameters[name] for name in one.values if name in effect.parameters}
         count = min((len(each) for each in one.values.values()), default=0)
         if count < 2 or not one.disjoint:
