@@ -55,16 +55,22 @@ class World:
     def q(self) -> np.ndarray:
         return self.obs.q
 
+    def since_before(self, values: np.ndarray, at_first: float) -> np.ndarray:
+        """(P,) by how much a value (P,) differs from that at the pose measured before; at the first pose as given."""
+        listed, out = np.argsort(self.obs.time_s), np.empty(len(values))
+        out[listed] = np.r_[at_first, np.diff(values[listed])]
+        return out
+
     @cached_property
     def gap_s(self) -> np.ndarray:
         """(P,) s since the pose before; the arm stood before the first one."""
-        return np.r_[PAUSE_S[1], np.diff(self.obs.time_s)]
+        return self.since_before(self.obs.time_s, PAUSE_S[1])
 
     @cached_property
     def since_pause_s(self) -> np.ndarray:
         """(P,) s since the last pause."""
-        first = np.maximum.accumulate(np.where(self.gap_s > PAUSE_S[0] / 2, np.arange(len(self.gap_s)), 0))
-        return self.obs.time_s - self.obs.time_s[first]
+        begun = np.sort(self.obs.time_s[self.gap_s > PAUSE_S[0] / 2])
+        return self.obs.time_s - begun[np.searchsorted(begun, self.obs.time_s, side="right") - 1]
 
     def frames(self, q: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
         """(P, n + 1, 4, 4) from the base to the frame behind each link. rows: (n, 5) theta, d, a, alpha, beta."""
@@ -150,18 +156,18 @@ class World:
         return T
 
 
-def run(seed: int, pauses: bool = True) -> World:
-    """A plan measured station after station, with a pause before each; a new one for every eight seeds."""
+def run(seed: int) -> World:
+    """A plan measured station after station in two rounds, with a pause before each station; one of eight plans."""
     rng = np.random.default_rng(seed)
     obs = plan(seed=100 + seed % 8)
-    gap = rng.uniform(*POSE_S, obs.n_poses)
-    if pauses:
-        first = np.r_[True, np.diff(obs.station) != 0]
-        gap[first] = rng.uniform(*PAUSE_S, first.sum())
-    time = np.cumsum(gap)
-    arrived = np.sign(np.diff(obs.q, axis=0, prepend=obs.q[:1] - 0.1)).astype(int)
+    listed = np.lexsort((obs.station, np.arange(obs.n_poses) % 2))
+    first = np.r_[True, np.diff(obs.station[listed]) != 0]
+    time = np.empty(obs.n_poses)
+    time[listed] = np.cumsum(np.where(first, rng.uniform(*PAUSE_S, len(first)), rng.uniform(*POSE_S, len(first))))
+    arrived = np.empty(obs.q.shape)
+    arrived[listed] = np.sign(np.diff(obs.q[listed], axis=0, prepend=obs.q[listed[:1]] - 0.1))
     warmed = 24.0 + 9.0 * (1 - np.exp(-time / 2500.0)) + rng.normal(0, 0.05, len(time))
-    return World(replace(obs, time_s=time, direction=arrived, temperatures={"robot_C": warmed}), rng)
+    return World(replace(obs, time_s=time, direction=arrived.astype(int), temperatures={"robot_C": warmed}), rng)
 
 
 @dataclass(frozen=True)
@@ -258,7 +264,7 @@ def hose_at_mount(w: World, size: float) -> tuple[str, ...]:
 def last_way(w: World, size: float) -> tuple[str, ...]:
     """Grease and wind-up leave a joint behind by the length of its last way."""
     i = int(w.rng.choice([0, 1, 2]))
-    moved = np.diff(w.q[:, i], prepend=w.q[:1, i] - 0.1)
+    moved = w.since_before(w.q[:, i], 0.1)
     w.joint[:, i] -= 1.2e-4 * size * np.sign(moved) * (1 - np.exp(-np.abs(moved) / 0.15))
     return (f"A{i + 1}",)
 

@@ -31,8 +31,10 @@ from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.random_effect_sizes import joined
-from mbcacq.estimation.variance_components import NoisePrior, pack
+from mbcacq.estimation.variance_components import NoisePrior, first_noise, pack
 from mbcacq.estimation.whitened_columns import Posterior
+
+SIGNIFICANT = 3.0  # standard deviations by which joints must repeat worse than their data sheet has it
 
 
 @dataclass(frozen=True)
@@ -322,3 +324,17 @@ def noise_left_by(linear: LinearProblem, model: EffectSet, smooth: RandomEffects
     rows = float(linear.keep.sum() * linear.width)
     grow = np.sqrt(rows / max(rows - smooth.used, 0.3 * rows))
     return Noise(noise.point * grow, noise.joint * grow, noise.turn * grow)
+
+
+def joint_noise_factor(full: ModelFit) -> float:
+    """By how much the joints repeat worse than the data sheet has it (median); 1 where they do not, beyond what it may be by chance, or
+    where the sheet is silent.
+
+    What repeats worse than that is an error that was not recognised: no verdict takes it for noise.
+    """
+    cell, dof = full.geometry_only.linear.obs.cell, full.geometry_only.dof
+    if not cell.robot.repeatability_mm:
+        return 1.0
+    factor = float(np.median(full.noise.joint / first_noise(cell).joint))
+    scatter = 1.0 + SIGNIFICANT / np.sqrt(2.0 * max(dof, 1.0))
+    return factor if factor > OPTIONS.noticeable * scatter else 1.0

@@ -55,6 +55,8 @@ class DiagnosisOptions:
     # Basis functions of unmodelled effects
     smooth: int = 5  # functions over the range of a covariate: a line and cosines
     fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
+    stiffness_powers: tuple[float, ...] = (1 / 3, 2 / 3, 2.0, 3.0)  # of the load: teeth in contact stiffen, what lifts off softens
+    near_joints: int = 2  # on either side of a frame, whose angles in pairs a hose or a cable there may feel
     visits: tuple[float, ...] = (0.2, 1.5)  # poses after which the beginning of a visit has faded: the first one alone, the first few
     settles_s: tuple[float, ...] = (5.0, 60.0)  # after a pause: the first pose alone, and what brakes, grease and rubber take
     shortest_period_mm: float = 8.0  # of periodic errors in the field of view

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound
-from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to, pairs_not_separable
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets, alternatives_to, better_in_general, pairs_not_separable
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.findings import OUT_OF_TIME, NotSeparable
-from mbcacq.diagnosis.model_fit import Contributions, ModelFit
+from mbcacq.diagnosis.model_fit import Contributions, ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
@@ -148,19 +148,21 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 def verdict_of(full: ModelFit) -> str:
     """The verdict on the data of the fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell``
     if the evidence is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared.
-    Otherwise it says which explain more of the mismatch: effects of the catalogue, or unmodelled ones.
+    Otherwise it says which explain more of the mismatch: effects of the catalogue, or unmodelled ones. Joints that repeat worse than their
+    data sheet has it are a mismatch of their own, and a name that a general function predicts better than is no explanation: the verdict
+    is then neither ``none`` nor ``explained``.
     """
-    fit = full.evidence
+    fit, noisy = full.evidence, joint_noise_factor(full) > 1.0
     if fit.cut_short:
         return "cannot_tell"
     if not fit.significant and not full.random:
-        return "cannot_tell" if fit.undecided else "none"
+        return "cannot_tell" if fit.undecided or noisy else "none"
     if not fit.significant:
         return "unexplained"
     if alternatives_to(fit, reported_hypothesis(fit)):
         return "cannot_tell"
     if not full.random:
-        return "explained"
+        return "partly_explained" if noisy or better_in_general(fit, reported_hypothesis(fit)) else "explained"
     contributions = Contributions(full)
     rest = contributions.of(contributions.unmodelled)
     return "partly_explained" if full.model.gain > rest else "unexplained"

@@ -68,6 +68,7 @@ def _cosine(x: np.ndarray, order: Any) -> np.ndarray:
 # Name of a function -> its value for a covariate x and its numbers.
 FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "power": lambda x, p: x**p,
+    "signed_power": lambda x, p: np.sign(x) * np.abs(x) ** p,
     "sin": _sine,
     "cos": _cosine,
     "sign": lambda x: np.sign(x),

@@ -29,6 +29,8 @@ from mbcacq.quantities import K
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
 TURN = 360.0
 BY = " by "  # between the name of a parameter per kelvin and its temperature
+GENERAL = 1.0  # log odds from which a general function predicts better than names: less is chance
+ALIKE = 0.99  # correlation from which it is the same function as they are
 ORDERS = ".order"  # end of the name of the parameter that tells several effects of one kind at a joint apart
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
 
@@ -97,6 +99,22 @@ def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Hypoth
     """
     others = [(other, frozenset[str]()) for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
     return [*others, *(BetweenSets.of(fit).changing() if fit.significant else [])]
+
+
+def better_in_general(fit: EvidenceFit, reported: Hypothesis) -> dict[str, float]:
+    """Location -> natural logarithm of the odds by which the data are more probable with a general function there than with the reported
+    names, whatever was more probable beforehand. Empty where no such function predicts better.
+    """
+    out: dict[str, float] = {}
+    for other in fit.hypotheses:
+        ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+        places = {label.partition(":")[2] for label in (*ours, *theirs)}
+        general = bool(ours) and {label.partition(":")[0] for label in theirs} == {UNKNOWN}
+        gain = other.log_evidence - reported.log_evidence
+        if general and len(places) == 1 and gain > GENERAL and likeness(reported, *differing(reported, other)) < ALIKE:
+            (at,) = places
+            out[at] = max(gain, out.get(at, 0.0))
+    return out
 
 
 def pairs_not_separable(fit: EvidenceFit) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:

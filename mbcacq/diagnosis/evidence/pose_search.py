@@ -219,6 +219,19 @@ class PoseSearch(EvidenceSearch):
                 if process is not None and self.looked_at(members, best).log_posterior > best.log_posterior - OPTIONS.reach:
                     self.estimated(members, best.point)
 
+    def compare_general_forms(self, best: Hypothesis) -> None:
+        """Sets with a general function in the place of all names at a joint that depend on its load or angle: two names that come near to
+        one curve are no explanation of it.
+        """
+        for at in dict.fromkeys(m.candidate.where for m in best.catalogued if len(m.candidate.where) == 1):
+            names = [m for m in best.catalogued if m.candidate.where == at]
+            others = tuple(m for m in best.members if m not in names)
+            process = None if self.out_of_time() else self.unmodelled.process(best.point.conditioned(others), names[0])
+            members = (*others, process) if process is not None else others
+            if process is not None and self.looked_at(members, best).log_evidence > best.log_evidence - OPTIONS.reach:
+                self.estimated(members, best.point)
+
     def exchange(self, best: Hypothesis) -> None:
         self.generalise(best)
+        self.compare_general_forms(best)
         super().exchange(best)

@@ -217,11 +217,25 @@ def at_location(basis: Basis, location: Location, angles: list[Shape]) -> list[S
     if location.joint in turning(s):
         name = f"q{location.joint + 1}"
         out += basis.shapes(name, harmonics(name, UNMODELLED.other_order + 1, UNMODELLED.few_order), 2)
+    if not is_joint:
+        near = [i for i in turning(s) if abs(i - location.joint) <= OPTIONS.near_joints]
+        out += pairs(basis, near, 1)
     if is_joint:
         torque = s.gravity_torque[:, location.joint]
         loaded = np.ptp(torque) > OPTIONS.varies * np.ptp(s.gravity_torque, axis=0).max() + 1e-9
-        out += angles + (basis.thresholds(f"gravity_torque_{location.joint + 1}") if loaded else [])
+        own = f"gravity_torque_{location.joint + 1}"
+        out += angles + (basis.thresholds(own) + stiffness_curves(basis, own) if loaded else [])
     return out
+
+
+def stiffness_curves(basis: Basis, torque: str) -> list[Shape]:
+    """Wind-up that stiffens or softens with the load, in the proportion of a power of it; and all of these together."""
+    curves = [of(torque, "signed_power", p) for p in OPTIONS.stiffness_powers]
+    return [
+        *basis.shapes(torque, curves, 1),
+        *(shape for curve in curves for shape in basis.shapes(torque, [linear(torque), curve])),
+        *basis.shapes(torque, [linear(torque), *curves]),
+    ]
 
 
 def history(basis: Basis) -> list[Shape]:
@@ -232,11 +246,11 @@ def history(basis: Basis) -> list[Shape]:
     return out + basis.shapes("pause", [of("since_pause", "decay", seconds) for seconds in OPTIONS.settles_s], 1)
 
 
-def pairs(basis: Basis) -> list[Shape]:
-    """Functions of two angles: of their sum, of their difference, and products of up to two periods a turn."""
+def pairs(basis: Basis, joints: Iterable[int], orders: int) -> list[Shape]:
+    """Functions of two angles: of their sum, of their difference, and products of up to so many periods a turn."""
     out = list[Shape]()
-    for a, b in combinations([f"q{i + 1}" for i in turning(basis.here)], 2):
-        (sa, ca, *_), (sb, cb, *_) = first, second = harmonics(a, 1, 2), harmonics(b, 1, 2)
+    for a, b in combinations([f"q{i + 1}" for i in joints], 2):
+        (sa, ca, *_), (sb, cb, *_) = first, second = harmonics(a, 1, orders), harmonics(b, 1, orders)
         same, opposite = (times(sa, cb), times(ca, sb)), (times(ca, cb), times(sa, sb))
         for sign in (1.0, -1.0):
             out += basis.shapes(a, [(*same[0], *scaled(same[1], sign)), (*opposite[0], *scaled(opposite[1], -sign))])

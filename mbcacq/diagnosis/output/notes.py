@@ -8,9 +8,10 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
+from mbcacq.diagnosis.evidence.between_sets import better_in_general
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
-from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.evidence.posterior import MOST_LOG_ODDS, coupled_instead, reported_hypothesis
+from mbcacq.diagnosis.model_fit import ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -38,6 +39,12 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     wrong = stated_noise_is_wrong(full, first_noise(setup.linear.obs.cell))
     if wrong is not None:
         out.append(wrong)
+    factor = joint_noise_factor(full)
+    if factor > 1.0:
+        out.append(
+            f"the joints repeat {significant(factor, 2)} times worse than the data sheet (repeatability_mm) has it: something of which no "
+            "model was found is in this noise; visit some poses several times, in different order and after different pauses"
+        )
     keep = full.geometry_only.linear.keep
     if open_ones := [u.name for u in setup.undetermined if not u.harmless]:
         out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
@@ -79,6 +86,11 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     return [
         *dict.fromkeys(m.candidate.support.refused for m in reported.unmodelled if m.candidate.support.refused),
         *other_covariates(full.evidence, reported),
+        *(
+            f"a general function at {at} predicts better than the names there ({odds_in_words(float(np.exp(min(log, MOST_LOG_ODDS))))}): "
+            "they are no more than near to what happens"
+            for at, log in better_in_general(full.evidence, reported).items()
+        ),
         *partial_periods(setup, full),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
