@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -220,7 +221,7 @@ class FormulaSearch:
             return self.extended(formula, replace(placed, term=dictionary.wave(name, float(f"{order:.4g}"))))
 
         middle = next(iter(placed.term.columns.values()))[0].functions[0].numbers[0]
-        best = minimize_scalar(lambda order: -at(order).log_posterior, bounds=(middle - step, middle + step), method="bounded")
+        best: Any = minimize_scalar(lambda order: -at(order).log_posterior, bounds=(middle - step, middle + step), method="bounded")
         return at(best.x)
 
     def member(self, placed: PlacedTerm) -> Member:
