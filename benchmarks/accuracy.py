@@ -26,7 +26,7 @@ from profile_data import observed, profiles
 import mbcacq
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.methods import COMPARED_METHODS, artefact_poses
+from mbcacq.calibration.compare_methods import COMPARED_METHODS, artefact_poses
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict

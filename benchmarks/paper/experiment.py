@@ -13,7 +13,7 @@ from mbcacq_fakes.world.arm import paper_errors
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
 from mbcacq.calibration.staged import stages
-from mbcacq.calibration.staged.ball_pairs import several_balls
+from mbcacq.calibration.staged.pair_distances import several_balls
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3

@@ -13,7 +13,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
-from mbcacq.calibration.staged.ball_pairs import several_balls
+from mbcacq.calibration.staged.pair_distances import several_balls
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
 from paper.cells import NOISE, Effect, catalogue, plans, record, write_figure

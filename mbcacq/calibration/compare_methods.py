@@ -1,21 +1,29 @@
-"""Methods of calibration on the same data, judged alike: fit, sphere spacing error, held-out error, time."""
+"""Methods of calibration on the same data, judged alike: fit, sphere spacing error, held-out error, time.
+
+A method is a function from observations to a ``CellState``, or to a calibrated cell where it has effects. Where it does not apply to a
+recording, it raises CalibrationError with the reason.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, overload
 
 import numpy as np
 
 from mbcacq.calibration import notebook
+from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
+from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, predicted, rms
-from mbcacq.calibration.methods import COMPARED_METHODS, OF_LINKS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.options import CalibrationOptions, select_phases
+from mbcacq.geometry import se3
+from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
@@ -100,7 +108,7 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row a method of ``mbcacq.calibration.methods.COMPARED_METHODS``, in that order. Those that identify links are left out where the
+    """One row a method of ``COMPARED_METHODS``, in that order. Those that identify links are left out where the
     data are poses of a flange; a method that these data do not determine has the reason in place of figures. progress: gets a sentence a
     method. Raises CalibrationError where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
@@ -168,3 +176,169 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
     if not np.isfinite(found.rms_mm):
         raise CalibrationError("the centres left out are too few to judge anything by; measure more poses")
     return found.rms_mm
+
+
+LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
+LEAST_POSES = 3
+TOO_FEW = "needs three scans of one station that show a target's pose or three balls each, not all on one line"
+
+
+def nominal(obs: Observations) -> CellState:
+    """Nothing identified: nominal arm, hand-eye as first guessed, stations where the points are."""
+    nowhere = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
+    return with_all_stations(obs, CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, nowhere, obs.cell.ball_centres))
+
+
+def hand_eye_only(obs: Observations) -> CellState:
+    """Nominal arm; hand-eye and stations by maximum likelihood."""
+    return calibrate(obs, CalibrationOptions(kinematics=False)).state
+
+
+def by_motions(name: str) -> Callable[[Observations], CellState]:
+    """Hand-eye by A X = X B, from the target's pose in each scan and every two poses at one station."""
+
+    def fit(obs: Observations) -> CellState:
+        hand, eye, station = _poses_of_both(obs, name)
+        A, B = motions(hand, eye, station)
+        turning = np.linalg.norm(se3.rotation_log(A[:, :3, :3]), axis=1) > LEAST_TURN
+        return _with_hand_eye(obs, _finite(MOTION_METHODS[name](A[turning], B[turning])))
+
+    return fit
+
+
+def by_poses(name: str) -> Callable[[Observations], CellState]:
+    """Hand-eye and the place of the target at once by A X = Z B, from the poses at the station that has most."""
+
+    def fit(obs: Observations) -> CellState:
+        hand, eye, station = _poses_of_both(obs, name)
+        here = station == np.bincount(station).argmax()
+        if here.sum() < LEAST_POSES:
+            raise CalibrationError(TOO_FEW)
+        _, Z = POSE_METHODS[name](eye[here], se3.inverse(hand[here]))
+        return _with_hand_eye(obs, _finite(se3.inverse(Z)))
+
+    return fit
+
+
+def _poses_of_both(obs: Observations, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The moving hand (K, 4, 4), the target seen by the eye (K, 4, 4) and the station (K,) of each pose. With a fixed scanner the
+    hand that moves is the base as the flange sees it. Raises CalibrationError where the poses do not determine the equations ``name``."""
+    where, eye = artefact_poses(obs)
+    station = obs.station[where]
+    if np.bincount(station).max() < LEAST_POSES:
+        raise CalibrationError(TOO_FEW)
+    hand = obs.cell.robot.chain.flange(obs.q[where])
+    if obs.cell.measurement == TARGET_IN_BASE:
+        hand = se3.inverse(hand)
+    best = max(_second_rotation(hand[station == s]) for s in np.unique(station))
+    if best < LEAST_SECOND_ROTATION:
+        equations = "AX = XB" if name in MOTION_METHODS else "AX = ZB"
+        raise CalibrationError(
+            f"the orientations at a station turn too little, or about one axis only, which leaves {equations} "
+            "undetermined; turn about two axes by 10° and more"
+        )
+    return hand, eye, station
+
+
+def _second_rotation(T: np.ndarray) -> float:
+    """rms rotation (rad) of transforms (P, 4, 4) about the second of their axes."""
+    rotations = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
+    size = np.linalg.svd(rotations - rotations.mean(axis=0), compute_uv=False)
+    return float(size[1] / np.sqrt(len(T))) if len(size) > 1 else 0.0
+
+
+def _with_hand_eye(obs: Observations, X: np.ndarray) -> CellState:
+    """The nominal cell with what the equations gave: the scanner on the flange, or where a fixed one stands in the base."""
+    first = nominal(obs)
+    if obs.cell.measurement != TARGET_IN_BASE:
+        return with_all_stations(obs, replace(first, T_flange_scanner=X))
+    where, eye = artefact_poses(obs)
+    station = np.bincount(obs.station[where]).argmax()
+    here = obs.station[where] == station
+    target = se3.inverse(obs.cell.robot.chain.flange(obs.q[where[here]])) @ X @ eye[here]
+    T = se3.transform(se3.nearest_rotation(target[:, :3, :3].mean(axis=0)), target[:, :3, 3].mean(axis=0))
+    return with_all_stations(obs, replace(first, T_flange_scanner=T))
+
+
+def _finite(X: np.ndarray) -> np.ndarray:
+    if not np.all(np.isfinite(X)):
+        raise CalibrationError("gave no finite transform")
+    return X
+
+
+def staged_method(pairs: str) -> Callable[[Observations], CellState]:
+    """The paper's method, with one of the readings of its distance constraint (``mbcacq.estimation.options.PAIRS``)."""
+    return lambda obs: calibrate(obs, CalibrationOptions(method="paper", pairs=pairs)).state
+
+
+def distances_only(obs: Observations) -> CellState:
+    """The distance constraint alone, on the measured centres of all balls, redundant parameters held."""
+    from mbcacq.calibration.staged import method
+    from mbcacq.calibration.staged.pair_distances import Measured, scanner_noise
+    from mbcacq.estimation import parameters
+
+    _scanner_of_several_balls(obs)
+    first = hand_eye_only(obs)
+    found = method.identify(
+        obs,
+        first,
+        method.constraint(obs, "all"),
+        parameters.build(obs, CalibrationOptions(balls=False)),
+        CalibrationOptions(),
+        Measured(scanner_noise(obs)),
+    )
+    return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
+
+
+def maximum_likelihood(obs: Observations) -> CalibratedCell:
+    """Everything at once by maximum likelihood."""
+    return calibrate(obs)
+
+
+def geometry_alone(obs: Observations) -> CellState:
+    """All parameters by maximum likelihood; whatever else the arm does counts as noise."""
+    return calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)).state
+
+
+OF_LINKS = ("paper", "paper (four balls)", "paper (all pairs)", "distances only", "geometry alone", "maximum likelihood")
+COMPARED_METHODS: dict[str, Callable[[Observations], CellState | CalibratedCell]] = {
+    "nominal": nominal,
+    **{f"AX=XB {name}": by_motions(name) for name in MOTION_METHODS},
+    **{f"AX=ZB {name}": by_poses(name) for name in POSE_METHODS},
+    "hand-eye only": hand_eye_only,
+    "paper": staged_method("one"),
+    "paper (four balls)": staged_method("four"),
+    "paper (all pairs)": staged_method("all"),
+    "distances only": distances_only,
+    "geometry alone": geometry_alone,
+    "maximum likelihood": maximum_likelihood,
+}
+
+
+def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (K,) at which the pose of the target shows, measured itself or by three balls or more that are not on one line, and
+    T_scanner_target (K, 4, 4) of each."""
+    if obs.rotation is not None:
+        where, first = np.unique(obs.pose, return_index=True)
+        R = obs.rotation[first]
+        place = obs.xyz[first] - np.einsum("mij,mj->mi", R, obs.cell.ball_centres[obs.ball[first]])
+        return where, se3.transform(R, place)
+    if np.bincount(obs.pose).max(initial=0) < LEAST_POSES or not np.any(np.abs(obs.xyz) > 1e-9):
+        raise CalibrationError(TOO_FEW)
+    from mbcacq.calibration.staged.pair_distances import FLAT_MM, width
+
+    enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= LEAST_POSES)
+    flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
+    where = enough[~np.array(flat, bool)]
+    if not len(where):
+        raise CalibrationError(TOO_FEW)
+    rows = np.isin(obs.pose, where)
+    group = np.searchsorted(where, obs.pose[rows])
+    return where, se3.fit_rigid_transforms(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
+
+
+def _scanner_of_several_balls(obs: Observations) -> None:
+    if obs.cell.robot.of_flange_poses:
+        raise CalibrationError("needs joint angles: poses of the flange say nothing of the arm's links")
+    if obs.cell.measurement == TARGET_IN_BASE or np.bincount(obs.pose).max(initial=0) < 2 or not np.any(np.abs(obs.xyz) > 1e-9):
+        raise CalibrationError("needs a scanner that sees several balls at a pose")

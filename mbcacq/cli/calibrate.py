@@ -13,6 +13,7 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 
 if TYPE_CHECKING:
     from mbcacq.estimation.options import ArmPrior
@@ -154,15 +155,17 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, effects, out, joints=not of_flange_poses(result)))
+        say_next(*next_step(data, effects, out, joints=not of_flange_poses(result), poses=result.get("fit", {}).get("poses")))
 
 
-def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True) -> tuple[str, str]:
+def next_step(
+    data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True, poses: int | None = None
+) -> tuple[str, str]:
     """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done. joints: their angles
     are known; no effect can be asked for with poses of the flange."""
     if not joints:
         return "hold the usual methods for the hand-eye transformation against it", command_line("compare", data[0])
-    if not effects:
+    if not effects and (poses is None or poses >= DIAGNOSIS.fewest_poses):
         return "ask whether the model lacks an effect", command_line("diagnose", *data)
     if out is None:
         given = [word for file in effects for word in ("--effects", file)]

@@ -150,7 +150,7 @@ def command(
             write_matched_model(found, write_model)
         progress("writing the pictures")
         write_pictures(found, report, rrd)
-        if found.poses is not None and is_run_folder(data[0]) and not simulation:
+        if found.poses is not None and found.observations is not None and is_run_folder(data[0]) and not simulation:
             found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
@@ -178,7 +178,7 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
     from mbcacq.diagnosis.output.text import is_to_be_calibrated_with
     from mbcacq.workflow.load import is_run_folder
 
-    run = is_run_folder(data[0])
+    run = is_run_folder(data[0]) and len(data) == 1  # what is found in several recordings is kept in none of them
     if with_found:
         return put_to_use(data[0] / "with-effects" if run else Path("with-effects"))
     if found.poses is not None and is_to_be_calibrated_with(found.poses):

@@ -11,8 +11,7 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 
 from mbcacq.calibration.calibrate import calibrate
-from mbcacq.calibration.compare_methods import compare
-from mbcacq.calibration.methods import COMPARED_METHODS
+from mbcacq.calibration.compare_methods import COMPARED_METHODS, compare
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.initial_guess import start

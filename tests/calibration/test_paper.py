@@ -9,8 +9,8 @@ from hand_eye_data import local_error, recording
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import verify
-from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
-from mbcacq.calibration.staged.error_propagation import scanner_noise
+from mbcacq.calibration.staged import angle_adjustment, distance_constraint, method, stages
+from mbcacq.calibration.staged.pair_distances import scanner_noise
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.geometry import se3
@@ -100,10 +100,10 @@ def test_parallel_translations_and_turns_about_one_axis_are_refused(exact):
     T = np.tile(np.eye(4), (6, 1, 1))
     T[:, 0, 3] = np.arange(6) * 30.0
     with pytest.raises(CalibrationError, match="do not span a plane"):
-        hand_eye.rotation_from_translations(T, -T[:, :3, 3])
+        stages.rotation_from_translations(T, -T[:, :3, 3])
     turns = se3.exp(np.linspace(0, 1, 6)[:, None] * np.array([0, 0, 0, 0, 0, 1.0]))
     with pytest.raises(CalibrationError, match="one axis only"):
-        hand_eye.translation_from_orientations(turns, np.zeros((6, 3)), np.eye(3))
+        stages.translation_from_orientations(turns, np.zeros((6, 3)), np.eye(3))
 
 
 def test_distances_of_one_scan_are_left_out():

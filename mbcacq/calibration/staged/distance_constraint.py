@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.staged.ball_pairs import PairDistances, pairs
-from mbcacq.calibration.staged.error_propagation import Measured, propagate
+from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, pairs, propagate
 from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain

@@ -10,8 +10,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.calibration.staged import distance_constraint
-from mbcacq.calibration.staged.ball_pairs import PairDistances, one_pair, several_balls
-from mbcacq.calibration.staged.error_propagation import Measured, scanner_noise
+from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, one_pair, scanner_noise, several_balls
 from mbcacq.calibration.staged.stages import adjust_angles, preliminary
 from mbcacq.calibration.sufficiency import refuse_one_station
 from mbcacq.errors import CalibrationError

@@ -1,4 +1,5 @@
-"""The stages before the distance constraint, on a recording: angle adjustment, virtual point, hand-eye rotation and translation."""
+"""The stages before the distance constraint, on a recording: angle adjustment, and the hand-eye transform from one virtual point (Eq. 5-7),
+its rotation from translations and its translation from orientations."""
 
 from __future__ import annotations
 
@@ -6,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.staged import angle_adjustment, hand_eye
-from mbcacq.calibration.staged.ball_pairs import VIRTUAL_BALLS
+from mbcacq.calibration.staged import angle_adjustment
+from mbcacq.calibration.staged.pair_distances import VIRTUAL_BALLS
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.initial_guess import hand_eye_from_fixed_points
 from mbcacq.geometry import se3
@@ -86,9 +87,9 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
             }
         ]
     T, virtual = virtual_point(obs, obs.phase == "translation")
-    R = hand_eye.rotation_from_translations(T, virtual)
+    R = rotation_from_translations(T, virtual)
     T_turned, virtual_turned = virtual_point(obs, obs.phase == "orientation")
-    t = hand_eye.translation_from_orientations(T_turned, virtual_turned, R)
+    t = translation_from_orientations(T_turned, virtual_turned, R)
     X = se3.transform(R, t)
     guess = obs.cell.T_flange_scanner
     turned = se3.rotation_log(guess[:3, :3].T @ R)
@@ -115,7 +116,7 @@ def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.
         raise CalibrationError("fewer than three poses show the same four balls; the virtual point of the paper's method needs them")
     rows = rows[np.isin(chosen.pose[rows], whole)]
     points = chosen.xyz[rows].reshape(len(whole), VIRTUAL_BALLS, 3)
-    return obs.cell.robot.chain.flange(chosen.q[whole]), hand_eye.virtual_points(points)
+    return obs.cell.robot.chain.flange(chosen.q[whole]), virtual_points(points)
 
 
 def point_spread(obs: Observations, X: np.ndarray) -> float:
@@ -129,3 +130,44 @@ def point_spread(obs: Observations, X: np.ndarray) -> float:
 def _spread(T: np.ndarray, virtual: np.ndarray) -> float:
     base = se3.apply(T, virtual)
     return float(np.sqrt(np.mean(np.sum((base - base.mean(axis=0)) ** 2, axis=1))))
+
+
+def virtual_points(points: np.ndarray) -> np.ndarray:
+    """Barycentres (P, 3) of the balls of each pose (P, B, 3); the paper takes four balls (Eq. 5)."""
+    return points.mean(axis=1)
+
+
+def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -> np.ndarray:
+    """R_flange_scanner (3, 3) from poses (P, 4, 4) of equal orientation that see one fixed point at ``virtual`` (P, 3) (Eq. 7).
+
+    R (p_1 - p_i) = R_base_flange' (t_i - t_1), an orthogonal Procrustes problem (SVD, determinant +1), here about the means, so
+    that no pose is special. Raises CalibrationError where the translations span less than a plane.
+    """
+    R = T_base_flange[:, :3, :3]
+    moved = np.einsum("pji,pj->pi", R, T_base_flange[:, :3, 3] - T_base_flange[:, :3, 3].mean(axis=0))
+    measured = -(virtual - virtual.mean(axis=0))
+    spread = np.linalg.svd(measured, compute_uv=False)
+    if len(virtual) < 3 or spread[1] < 1.0:
+        raise CalibrationError(
+            "the translations do not span a plane, which leaves the hand-eye rotation undetermined; "
+            "translate along base X, Y and Z by 20 mm and more"
+        )
+    return se3.nearest_rotation(moved.T @ measured)
+
+
+def translation_from_orientations(T_base_flange: np.ndarray, virtual: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """t_flange_scanner (3,) mm from poses (P, 4, 4) of different orientation that see one fixed point at ``virtual`` (P, 3).
+
+    (R_i - R_j) t = t_j - t_i + R_j R p_j - R_i R p_i over all pairs, which is least squares about the means. Raises CalibrationError
+    where the orientations turn about one axis only.
+    """
+    R, t = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3]
+    point = t + np.einsum("pij,jk,pk->pi", R, rotation, virtual)
+    columns = (R - R.mean(axis=0)).reshape(-1, 3)
+    size = np.linalg.svd(columns, compute_uv=False)
+    if size[-1] < 0.02 * np.sqrt(len(R)):
+        raise CalibrationError(
+            "the orientations turn too little, or about one axis only, which leaves the hand-eye translation "
+            "undetermined; turn about two axes by 10° and more"
+        )
+    return np.linalg.lstsq(columns, -(point - point.mean(axis=0)).reshape(-1), rcond=None)[0]

@@ -18,6 +18,7 @@ from mbcacq.effects.over_time import NAME as MOMENT
 from mbcacq.quantities import K
 
 Repetitions = Mapping[str, FoundAgain]  # by ``name:where``
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
 SAME_MOMENT = 0.05  # share of the poses within which two moments may be one: parts have not the same poses
 
 
@@ -45,7 +46,8 @@ def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> fl
     each = [{(g.location, g.depends_on): g.sigma for g in part.random} for part in parts]
     both = [key for key in own if all(key in sizes and np.shape(sizes[key]) == np.shape(own[key]) for sizes in each)]
     ratios = np.array([[float(np.median(sizes[key] / own[key])) for key in both] for sizes in each])
-    return float(np.sqrt(np.mean((jackknife(ratios) / ratios.mean(axis=0)) ** 2))) if both else 0.0
+    # By the median: sizes of what is hardly there differ by far more than those that are reported.
+    return float(np.median(jackknife(ratios) / ratios.mean(axis=0)) / MEDIAN_OF_NORMAL) if both else 0.0
 
 
 def shows(part: PartModel, at: str, reported: Container[str]) -> bool:
