@@ -31,6 +31,7 @@ from mbcacq.model.observations import Observations
 
 SIGMA = 0.02  # mm
 NOISE, JOINT = (0.004, 0.004, 0.006), 8e-6
+MANY = 100  # sets of which a rate is stated
 LEVER, WRIST = 700.0, 80.0  # mm by which a turn of a joint, and of the scanner, is given its size
 FORMS = ("one station, hand-eye alone", "8 stations, hand-eye alone", "whole run", "collected")
 SPLIT = (0.3, 0.35, 0.15, 0.2)
@@ -297,7 +298,10 @@ def page(given: argparse.Namespace) -> None:
 
 
 def share(yes: int, n: int) -> str:
-    return f"{yes} of {n} ({wilson(yes, n)[0]:.1f} to {wilson(yes, n)[1]:.1f} %)" if n else "-"
+    """With the 95 % interval where there are enough to say so."""
+    if n < MANY:
+        return f"{yes}/{n}" if n else "-"
+    return f"{yes}/{n} ({wilson(yes, n)[0]:.1f} to {wilson(yes, n)[1]:.1f} %)"
 
 
 def lines(rows: list[dict]) -> list[str]:
