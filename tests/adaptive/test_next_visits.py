@@ -155,12 +155,12 @@ def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():
     chosen = choose_next(look, plan, visits=1, poses=10)
     assert not chosen.futile
     assert len(chosen.poses) >= 6
-    assert {pair.a for pair in chosen.open_pairs} == {("joint_compliance:A2", "joint_compliance:A3")}  # the most probable set
-    assert {(), ("unknown:A3",), ("joint_compliance:A2",)} <= {pair.b for pair in chosen.open_pairs}
+    assert {frozenset(pair.a) for pair in chosen.open_pairs} == {frozenset({"joint_compliance:A2", "joint_compliance:A3"})}  # most probable
+    assert {(), ("unknown:A3",)} <= {pair.b for pair in chosen.open_pairs}
 
 
 def test_a_search_does_not_end_with_none_while_an_effect_is_half_as_probable(begun):
-    leaning = [{"name": "base_compliance", "strength": 0.6, "seed": 1}]
+    leaning = [{"name": "base_compliance", "strength": 0.5, "seed": 1}]
     look = weigh(observe(begun, expand(begun), QUIET, leaning)[0])
     assert look.verdict == "none"
     assert 0.5 < np.exp(look.full.evidence.log_e_value) < 1
@@ -180,11 +180,11 @@ def test_a_decision_has_the_same_figures_with_one_thread_of_linear_algebra_and_w
 
 
 def test_a_station_that_creeps_is_found_where_three_poses_see_it():
-    """The first block visits p8 with three poses, while its tripod creeps."""
+    """The first block visits p4 with three poses, while its tripod creeps."""
     plan = first_block(load(Path(__file__).parents[2] / "plans" / "seeing.yaml"))
     poses = expand(plan)
-    assert sum(p.station == "p8" for p in poses) == 3
-    creeping = [{"name": "station_drift", "station": "p8", "strength": 0.3, "seed": 5}]
+    assert sum(p.station == "p4" for p in poses) == 3
+    creeping = [{"name": "station_drift", "station": "p4", "strength": 0.3, "seed": 5}]
     look = weigh(observe(plan, poses, Scenario(0, "station_drift", 11, ("station_drift",), 5, 1.0), creeping)[0])
-    assert look.reported.labels == {"station_drift:stationp8"}
+    assert look.reported.labels == {"station_drift:stationp4"}
     assert look.verdict == "explained"

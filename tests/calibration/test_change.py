@@ -66,7 +66,7 @@ def largest_z(found, true):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_slip_about_as_large_as_the_noise_is_named_or_in_the_stated_uncertainty(seed):
-    """Without the average over changes four of these six are beyond three standard deviations."""
+    """Without the average over changes five of these six are beyond three standard deviations."""
     cell = cell_of(seed)
     obs, after = slipped(cell, 24, mm=0.008)
     found = calibrate(obs, HAND_EYE_ALONE)

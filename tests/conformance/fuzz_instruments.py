@@ -55,12 +55,6 @@ UR_POSES = b"""pose,station,x_mm,y_mm,z_mm,rx_rad,ry_rad,rz_rad,target_x_mm,targ
 2,s1,600,-20.25,350,0.2,2.9,-0.1,1150.5,45,60
 3,s1,620,0,320,-0.3,3,0,1170,48,30
 """
-BALLS = b"""A,B,C,X,Y,Z,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,x3_mm,y3_mm,z3_mm
-0,10,180,650,20,300,1,2,300,30,1,310,2,40,290.5
-20,-10,170,620,-20,320,-5,12,305,25,9,312,,,
--30,5,190,600,40,280,8,-2,280,38,-3,290,9,37,271
-45,25,160,640,0,310,3,0,295,33,2,301,5,41,288
-"""
 PROFILE_RADIUS, LEAST = 15.0, 14  # mm; profiles
 
 
@@ -73,6 +67,17 @@ def poses() -> tuple[np.ndarray, np.ndarray]:
     turns = np.radians([0.0, 0.0, 180.0]) + 0.4 * rng.normal(size=(8, 3))
     hand = np.array([se3.from_abc(np.array([650.0, 0, 450]) + 80 * rng.normal(size=3), turn) for turn in turns])
     return hand, se3.inverse(hand @ X) @ target
+
+
+def table_of_balls() -> bytes:
+    """Three balls that the scanner on the flange sees at each pose, one of them once not."""
+    rows = ["A,B,C,X,Y,Z,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,x3_mm,y3_mm,z3_mm"]
+    for k, (hand, eye) in enumerate(zip(*poses(), strict=True)):
+        xyz, abc = se3.to_abc(hand)
+        balls = se3.apply(eye, np.array([[0.0, 0, 0], [30, 0, 10], [0, 40, -10]])).ravel()
+        seen = [f"{v:.4f}" for v in balls]
+        rows.append(",".join([f"{v:.4f}" for v in (*np.degrees(abc), *xyz)] + (seen if k != 1 else [*seen[:6], "", "", ""])))
+    return ("\n".join(rows) + "\n").encode()
 
 
 def moveit_samples() -> bytes:
@@ -199,7 +204,7 @@ def instrument_targets() -> list[Target]:
         Target("poses of a flange", (UR_POSES,), in_file("poses.csv", _of(_ur(BY_FLANGE)))),
         Target("cell.yaml of poses of a flange", (_ur(BY_FLANGE),), in_file("cell.yaml", _set, {"poses.csv": UR_POSES})),
         Target("wide table of joints", _wide(), in_file("poses.csv", _of(CELL))),
-        Target("hand-eye table of balls", (BALLS,), in_file("t.csv", lambda path: read_hand_eye_files([path], KUKA))),
+        Target("hand-eye table of balls", (table_of_balls(),), in_file("t.csv", lambda path: read_hand_eye_files([path], KUKA))),
         Target("hand-eye table, conventions", (hand_eye(),), in_file("t.csv", lambda path: read_hand_eye_files([path], TableOptions()))),
         Target(
             "hand-eye samples", (moveit_samples(), easy_handeye_samples()), in_file("s.yaml", lambda p: read_hand_eye_files([p], of_hand))

@@ -41,7 +41,7 @@ def seen(count: int, seed: int, misread, noise: tuple[float, float, float] = (0.
 
 def robot() -> RobotModel:
     chain = Chain(plain.SIGN, plain.THETA, plain.D, plain.A, plain.ALPHA, np.zeros(6))
-    return RobotModel("independent arm", chain, np.radians([[-350.0, 350.0]] * 6), plain.MASS, plain.COM, repeatability_mm=0.04)
+    return RobotModel("independent arm", chain, np.radians([[-350.0, 350.0]] * 6), plain.MASS, plain.COM, repeatability_mm=0.08)
 
 
 def context(obs: Observations) -> Context:

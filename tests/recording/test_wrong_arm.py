@@ -36,5 +36,5 @@ def test_an_arm_that_is_not_shipped_is_doubted(table, tmp_path):
 
 
 def test_the_right_arm_is_read(table):
-    read = read_loose_table(table, TableOptions(robot=shipped.robot("kr10_r1100_2")))
+    read = read_loose_table(table, TableOptions(robot=shipped.robot("kr10_r1100_2"), by_instrument=True))
     assert read.observations.n_poses == 30
