@@ -26,7 +26,8 @@ def test_a_diagnosis_fits_a_screen_and_says_how_to_see_the_rest(found):
 
 
 def test_every_finding_is_in_the_first_lines_or_counted(found):
-    shown = found.text.split("What next:")[1].split("Where model")[0]
+    listed = next(head for head in ("Effects, ± U (k = 2):", "Trends, without a reliable figure:") if head in found.text)
+    shown = found.text.split(listed)[1].split("Where model")[0]
     effects = (found.poses or found.motion).effects
     heads = [line for line in shown.splitlines() if line.startswith("  ") and " at " in line and " (p " in line]
     more = [int(line.split()[1]) for line in shown.splitlines() if line.startswith("  and ")]
