@@ -1,5 +1,7 @@
 """Whatever goes wrong on the wire, in the program or at the arm: it stands, and the error says what happened."""
 
+import re
+
 import numpy as np
 import pytest
 from eki_arm import FAR, HOME, on_the_way, stands
@@ -102,7 +104,9 @@ def test_a_controller_that_does_not_come_back(eki_cell):
     fake.inject(refuse=1, close=1)
     error = until_error(robot)
     assert type(error) is DeviceTimeout
-    assert "the controller closed the connection" in str(error)
+    # On a busy computer the fake may have stopped to tell its state before it closed; that is the cause then.
+    assert re.search("the controller (closed the connection|told no state)", str(error))
+    assert "the arm stands" in str(error)
 
 
 def test_a_cell_that_was_changed_meanwhile_is_not_taken_up_again(eki_cell):
