@@ -73,7 +73,7 @@ class ChangeEvidence:
     found : ChangeFound or None
         The change; None where what the recording shows has a probability of ``false_alarms`` without one.
     second_moment : (g, g) ndarray or None
-        Of the errors of the estimate without a change, where there was one: averaged over kinds, moments and sizes.
+        Second moment of the errors of an estimate that ignores a change: averaged over kinds, moments and sizes.
     """
 
     log_e: float = -np.inf

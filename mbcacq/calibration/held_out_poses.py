@@ -33,7 +33,7 @@ class HeldOutRms:
     rms_mm : float
         3D rms of every centre; not a number where fits to the held-out centres took all their freedom.
     median_mm, max_mm : float
-        Of the distances.
+        Median and largest of the distances.
     centres : int
         Number of centres.
     robust_mm : float

@@ -195,7 +195,7 @@ class Support:
     limit
         What makes that impossible, as the end of a sentence.
     refused
-        Of an unmodelled effect: the sentence on the name that it cannot have.
+        The sentence on the name that an unmodelled effect cannot have; empty for others.
     """
 
     largest: float | np.ndarray = np.inf

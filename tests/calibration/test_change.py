@@ -58,7 +58,7 @@ def test_of_an_undisturbed_recording_nothing_is_said(seed):
 
 
 def largest_z(found, true):
-    """Of the six numbers of the hand-eye, in stated standard deviations, against the nearest of the true transforms."""
+    """The six numbers of the hand-eye, in stated standard deviations, against the nearest of the true transforms."""
     std = np.sqrt(np.diag(found.covariance)[[found.names.index(f"hand_eye.{c}") for c in ("x", "y", "z", "rx", "ry", "rz")]])
     off = [np.linalg.inv(found.state.T_flange_scanner) @ T for T in true]
     return min(np.abs(np.concatenate([D[:3, 3], se3.rotation_log(D[:3, :3])]) / std).max() for D in off)

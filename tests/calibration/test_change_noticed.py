@@ -1,4 +1,4 @@
-"""Who measures is told of a change while the run goes on, and who tries a calibration on a recording in which something changed."""
+"""A change is reported to who measures while the run goes on, and to who tries a calibration on a recording in which something changed."""
 
 import numpy as np
 import pytest

@@ -91,7 +91,7 @@ class KukaEki(ContextDevice):
         )
 
     def facts(self) -> tuple[Fact, ...]:
-        """The load counts from the start of the controller's program, which ends the run; it is told with each connection. Tool, base and
+        """The load counts from the start of the controller's program, which ends the run; each connection reports it. Tool, base and
         operating mode end the run by themselves."""
         session = self._session
         if session is None or (state := session.state) is None:
