@@ -19,11 +19,11 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
+from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
-from mbcacq.estimation.several_recordings import adjust_together
+from mbcacq.estimation.several_recordings import joint_problem
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
@@ -102,8 +102,9 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
         obs, parts = select_phases(recordings, options), ()
         adjusted = adjust_recording(obs, options)
     else:
-        together = adjust_together(recordings, options)
-        obs, adjusted, parts = together.observations, together.adjusted, together.parts
+        together = joint_problem(recordings, options)
+        obs, parts = together.observations, together.parts
+        adjusted = adjust(obs, replace(options, start=together.start))
     fit, whole = adjusted_fit(options, adjusted)
     each = [share_of(fit, whole, parts, r, options) for r in range(len(parts))] or [(fit, whole)]
     problem = problem_of(obs, options, adjusted)
