@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,7 +61,7 @@ def possible_changes(obs: Observations, state: CellState, prediction: Prediction
 
     Prior probabilities are equal between names, and among the locations and variants of each.
     """
-    found = [*_masterings(obs, state, prediction), _mount(obs, prediction), *_links(obs, state, prediction)]
+    found = [*_masterings(state, prediction), _mount(obs, prediction), *_links(obs, state, prediction)]
     if standing:
         found += _artefacts(obs, prediction)
     found += _catalogued(obs, state, prediction)
@@ -77,20 +78,25 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
-def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))
-    usual = np.array([OPTIONS.mastering])
-    return [
-        PossibleChange(
-            name="mastering",
-            where=f"A{j + 1}",
-            parameters=(f"A{j + 1} zero",),
-            units=("rad",),
-            usual=usual,
-            columns=rows_of(J[:, :, j : j + 1] * OPTIONS.mastering),
-        )
-        for j in range(state.chain.n)
-    ]
+def _change(
+    name: str, where: str, parameters: Sequence[str], units: Sequence[str], usual: float | np.ndarray, moved: np.ndarray
+) -> PossibleChange:
+    """moved: (M, R, k) by a unit of each parameter; usual: their usual change, one number or (k,)."""
+    size = np.broadcast_to(usual, moved.shape[2])
+    return PossibleChange(
+        name=name, where=where, parameters=tuple(parameters), units=tuple(units), usual=size, columns=rows_of(moved * size)
+    )
+
+
+def joint_columns(state: CellState, prediction: Prediction) -> np.ndarray:
+    """(M, R, n): by the zero of each joint."""
+    return prediction.by_twists(state.chain.joint_twists(prediction.frames))
+
+
+def _masterings(state: CellState, prediction: Prediction) -> list[PossibleChange]:
+    J = joint_columns(state, prediction)
+    names = [f"A{j + 1}" for j in range(state.chain.n)]
+    return [_change("mastering", A, [f"{A} zero"], ["rad"], OPTIONS.mastering, J[:, :, j : j + 1]) for j, A in enumerate(names)]
 
 
 def twist_columns(obs: Observations, prediction: Prediction, place: str, index: int) -> np.ndarray:
@@ -106,9 +112,7 @@ def station_columns(obs: Observations, prediction: Prediction) -> dict[int, np.n
 
 def _moved(name: str, where: str, columns: np.ndarray, mm: float, rad: float) -> PossibleChange:
     """A change of a frame's place, by its columns (M, R, 6); mm, rad: usual sizes."""
-    usual = np.repeat([mm, rad], 3)
-    units = ("mm",) * 3 + ("rad",) * 3
-    return PossibleChange(name=name, where=where, parameters=TWIST, units=units, usual=usual, columns=rows_of(columns * usual))
+    return _change(name, where, TWIST, ("mm",) * 3 + ("rad",) * 3, np.repeat([mm, rad], 3), columns)
 
 
 def _mount(obs: Observations, prediction: Prediction) -> PossibleChange:
@@ -126,22 +130,10 @@ def _artefacts(obs: Observations, prediction: Prediction) -> list[PossibleChange
 def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     """Each link by itself: its length, offset and twist."""
     twists = state.chain.parameter_twists(prediction.frames, obs.q)
-    out = []
     chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
-    for i in range(state.chain.n):
-        columns = prediction.by_twists(twists[:, i, chosen]) * usual
-        out.append(
-            PossibleChange(
-                name="link",
-                where=f"link {i + 1}",
-                parameters=("d", "a", "alpha"),
-                units=("mm", "mm", "rad"),
-                usual=usual,
-                columns=rows_of(columns),
-            )
-        )
-    return out
+    each = (prediction.by_twists(twists[:, i, chosen]) for i in range(state.chain.n))
+    return [_change("link", f"link {i}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, moved) for i, moved in enumerate(each, 1)]
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
@@ -155,17 +147,10 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> 
             continue  # what happens within one check says nothing about days
         for number, hyper in enumerate(hyper_values(candidate, OPTIONS.hypers)):
             one = terms.term(candidate.name, parts_of(candidate, context, hyper))
-            columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
-            names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
-            change = PossibleChange(
-                name=candidate.name,
-                where="+".join(candidate.where) + what,
-                parameters=names,
-                units=("",) * candidate.k,
-                usual=candidate.typical,
-                columns=columns,
-            )
+            names, where = [f"{candidate.name}[{k}]" for k in range(candidate.k)], "+".join(candidate.where) + what
+            moved = terms.columns(obs, prediction, one)
+            change = _change(candidate.name, where, names, ("",) * candidate.k, candidate.typical, moved)
             out.append(change)
             if len(candidate.where) == 1:
                 together.setdefault((candidate.name, candidate.variant, number), []).append(change)
@@ -174,16 +159,15 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> 
 
 def _together(several: list[PossibleChange]) -> PossibleChange:
     """One effect at all of its places, each with coefficients of its own: gears wear together."""
-    columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
     parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
     what = several[0].where.partition(",")
-    return PossibleChange(
-        name=several[0].name,
+    return replace(
+        several[0],
         where=f"several places{what[1]}{what[2]}",
         parameters=parameters,
-        units=("",) * len(usual),
-        usual=usual,
-        columns=columns,
+        units=("",) * len(parameters),
+        usual=np.concatenate([r.usual for r in several]),
+        columns=np.concatenate([r.columns for r in several], axis=1),
     )
 
 
@@ -191,36 +175,23 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
-    J = prediction.by_twists(context.state.chain.joint_twists(prediction.frames))
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
+    moved = joint_columns(context.state, prediction) * bent[context.obs.pose][:, None, :]
     usual = OPTIONS.tool_kg * OPTIONS.elastic
-    columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
-    shown = np.abs(columns).max(axis=0) > LEAST
-    parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
-    return [
-        PossibleChange(
-            name="tool",
-            where="its weight",
-            parameters=parameters,
-            units=("",) * len(parameters),
-            usual=np.full(len(parameters), usual),
-            columns=columns[:, shown],
-        )
-    ]
+    shown = np.flatnonzero(np.abs(usual * moved).max(axis=(0, 1)) > LEAST)
+    return [_change("tool", "its weight", [f"A{i + 1}" for i in shown], ("",) * len(shown), usual, moved[:, :, shown])]
 
 
 def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
+    J = joint_columns(state, prediction)
     n = J.shape[2]
     k = obs.n_poses * n
-    columns = np.zeros((J.shape[0], J.shape[1], k))
+    moved = np.zeros((*J.shape[:2], k))
     for p in range(obs.n_poses):
         here = obs.pose == p
-        columns[here, :, p * n : (p + 1) * n] = J[here]
-    return PossibleChange(
-        name=UNNAMED, where="the arm", parameters=("",) * k, units=("rad",) * k, usual=np.full(k, OPTIONS.unnamed), columns=rows_of(columns)
-    )
+        moved[here, :, p * n : (p + 1) * n] = J[here]
+    return _change(UNNAMED, "the arm", ("",) * k, ("rad",) * k, OPTIONS.unnamed, moved)
 
 
 def _unnamed_centres(obs: Observations) -> PossibleChange:
@@ -229,19 +200,12 @@ def _unnamed_centres(obs: Observations) -> PossibleChange:
     Without it the null would take such a change for a larger noise, which it repeats from day to day and so is not.
     """
     k = 3 * obs.n_centres
-    return PossibleChange(
-        name=UNNAMED,
-        where=SCANNER,
-        parameters=("",) * k,
-        units=("mm",) * k,
-        usual=np.full(k, OPTIONS.unnamed_mm),
-        columns=OPTIONS.unnamed_mm * np.eye(k),
-    )
+    return _change(UNNAMED, SCANNER, ("",) * k, ("mm",) * k, OPTIONS.unnamed_mm, np.eye(k).reshape(-1, 3, k))
 
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """(R, R) covariance of the rows by the noise of a centre (3,) mm and of the joints (n,) rad, which moves all of a pose together."""
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * joint
+    J = joint_columns(state, prediction) * joint
     flat = J.reshape(-1, J.shape[2])
     pose = np.repeat(obs.pose, J.shape[1])
     return (flat @ flat.T) * (pose[:, None] == pose) + np.diag(np.tile(np.asarray(point, dtype=float) ** 2, len(obs.pose)))
