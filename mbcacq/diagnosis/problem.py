@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -88,6 +90,18 @@ class DiagnosisProblem:
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
         return replace(self, linear=linear)
+
+
+@contextmanager
+def determined(recordings: Observations | Sequence[Observations]) -> Iterator[None]:
+    """Raises CalibrationError for fewer poses than a diagnosis needs, and where it turns out that they do not determine the cell."""
+    poses = sum(r.n_poses for r in ([recordings] if isinstance(recordings, Observations) else recordings))
+    if poses < OPTIONS.fewest_poses:
+        raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
 
 
 def prepare(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> DiagnosisProblem:
