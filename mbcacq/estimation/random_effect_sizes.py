@@ -163,8 +163,9 @@ def eliminated(information: np.ndarray, right: np.ndarray, index: np.ndarray) ->
     rest = np.delete(np.arange(len(right)), index)
     scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
     factor = np.linalg.cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
-    taken = inverse_of_lower(factor) @ (scale[:, None] * np.c_[information[np.ix_(rest, index)], right[rest]])
-    return information[np.ix_(index, index)] - taken[:, :-1].T @ taken[:, :-1], right[index] - taken[:, :-1].T @ taken[:, -1]
+    root = inverse_of_lower(factor) * scale
+    taken = root @ information[np.ix_(rest, index)]
+    return information[np.ix_(index, index)] - taken.T @ taken, right[index] - taken.T @ (root @ right[rest])
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
