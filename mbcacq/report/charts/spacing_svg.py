@@ -16,8 +16,8 @@ MOST_ROWS = 14
 
 
 def spacing_picture(data: Spacing) -> str:
-    """SVG of the magnitudes of the errors, two bars for each place; of many places those with the largest errors after calibration. Whiskers
-    are twice the expected standard deviation; the limit is a line."""
+    """SVG of the magnitudes of the errors, two bars for each place; of many places those with the largest errors after. Whiskers are twice
+    the expected standard deviation, and the limit is a line."""
     before, after = np.abs(data.before), np.abs(data.after)
     U = np.zeros(len(after)) if data.sigma is None else 2 * data.sigma
     top = 1.06 * max(float(before.max()), float((after + U).max()), data.limit or 0.0, 1e-9)
