@@ -6,7 +6,7 @@ import textwrap
 
 from mbcacq.figure import Figure
 from mbcacq.quantities import measured, symbol
-from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Chart
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
 from mbcacq.report.content import ChangeRow
 
 LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
@@ -15,7 +15,7 @@ ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of 
 
 def changes(rows: list[ChangeRow]) -> Figure:
     """Changes of quantities of one unit, each with its expanded uncertainty; those beyond chance in the colour of limits."""
-    chart = Chart()
+    chart = Plot()
     for marked, name, colour, shape in ((False, "within chance", AFTER, "circle"), (True, "beyond chance", LIMIT, "diamond")):
         shown = [row for row in rows if row.marked == marked]
         chart.points(

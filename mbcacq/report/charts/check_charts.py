@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, LIMIT, LINE, Chart
+from mbcacq.report.charts.style import AFTER, LIMIT, LINE, Plot
 
 HEIGHT = 260
 
@@ -29,8 +29,8 @@ def check_figures(kept: dict[str, Any]) -> dict[str, Figure]:
     return {"difference": difference, "evidence": evidence}
 
 
-def _over_checks(kept: dict[str, Any], name: str, values: list[float], limit: float, title: str) -> Chart:
-    chart = Chart().points(
+def _over_checks(kept: dict[str, Any], name: str, values: list[float], limit: float, title: str) -> Plot:
+    chart = Plot().points(
         list(range(1, len(values) + 1)),
         values,
         colour=[LIMIT if value > limit else AFTER for value in values],

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, BEFORE, ESCAPES, Chart, thinned
+from mbcacq.report.charts.style import AFTER, BEFORE, ESCAPES, Plot, thinned
 
 ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a response is not drawn as a line
 
@@ -18,7 +18,7 @@ def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarr
     are logarithmic, so that weak and strong evidence are both seen."""
     top = max(float(np.nanmax(strength)), 3.0)
     ticks = [v for v in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if v <= top]
-    chart = Chart().heatmap(
+    chart = Plot().heatmap(
         [name.translate(ESCAPES) for name in covariates],
         [spaced(name).translate(ESCAPES) for name in locations],
         np.log10(1 + strength),
@@ -38,7 +38,7 @@ def response_curve(curve: Mapping[str, Any]) -> Figure:
     """Motion of an effect over its covariate: the model with its band (k = 2), and the estimate from each pose."""
     x, y, std, of_pose = (np.array(curve[name], dtype=float) for name in ("x", "y", "std", "seen"))
     keep = thinned(np.abs(of_pose))
-    chart = Chart().points(x[keep], of_pose[keep], name="poses", colour="#9aa0a6", size=4, opacity=0.7, hover="%{x:.4g}: %{y:.4g}")
+    chart = Plot().points(x[keep], of_pose[keep], name="poses", colour="#9aa0a6", size=4, opacity=0.7, hover="%{x:.4g}: %{y:.4g}")
     span = max(float(np.ptp(y)), 1e-12)
     if len(y) > 8 and np.mean(np.abs(np.diff(y))) < ROUGH * span:
         there_and_back = np.concatenate([x, x[::-1]]), np.concatenate([y + 2 * std, (y - 2 * std)[::-1]])
@@ -59,7 +59,7 @@ def difference_along(centres: Mapping[str, Any], cause: Mapping[str, Any]) -> Fi
     model."""
     x = np.array(cause["values"], dtype=float)
     before, after = (1e3 * np.linalg.norm(np.array(centres[f"{w}_mm"], dtype=float).reshape(-1, 3), axis=1) for w in ("before", "after"))
-    chart, keep = Chart(), thinned(before)
+    chart, keep = Plot(), thinned(before)
     for name, values, colour, symbol in (("before", before, BEFORE, "circle"), ("after", after, AFTER, "diamond")):
         mark = {"colour": colour, "size": 4, "symbol": symbol, "opacity": 0.7}
         chart.points(x[keep], values[keep], name=name, **mark, hover="%{x:.4g}: %{y:.1f} µm")

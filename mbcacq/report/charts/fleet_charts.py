@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Chart
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
@@ -21,7 +21,7 @@ def overview(kind: ArmTypeContent) -> Figure:
     shown = np.arange(len(kind.arms))
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
-    chart = Chart().heatmap(
+    chart = Plot().heatmap(
         [chart.title.translate(ESCAPES) for chart in kind.charts],
         [kind.arms[a].translate(ESCAPES) for a in shown],
         ratio[shown],
@@ -48,7 +48,7 @@ def drift(kind: ArmTypeContent) -> Figure:
     """Distance of each recording from the centre line of its arm over time; the figure is chosen from a list. Arms that are far out are
     named at their last recording."""
     times, title = _times(kind)
-    drawn = Chart()
+    drawn = Plot()
     for k, chart in enumerate(kind.charts):
         order, gaps = _by_arm(chart.arm)
         y, x, shown = chart.deviation[order], [times[i] for i in order], k == 0
@@ -99,7 +99,7 @@ def drift(kind: ArmTypeContent) -> Figure:
 
 def side_by_side(kind: ArmTypeContent) -> Figure:
     """Every recording of each arm, arms beside each other, with the range that is usual among them."""
-    drawn = Chart()
+    drawn = Plot()
     names = [arm.translate(ESCAPES) for arm in kind.arms]
     for k, chart in enumerate(kind.charts):
         for unusual in (False, True):
@@ -123,7 +123,7 @@ def side_by_side(kind: ArmTypeContent) -> Figure:
     return _chosen(drawn, kind, 3, x, "value")
 
 
-def _chosen(drawn: Chart, kind: ArmTypeContent, traces: int, x: dict[str, Any], what: str) -> Chart:
+def _chosen(drawn: Plot, kind: ArmTypeContent, traces: int, x: dict[str, Any], what: str) -> Plot:
     """The chart with a list of the figures, of which one is shown at a time."""
     total, titles = traces * len(kind.charts), [f"{what} / {chart.unit}" for chart in kind.charts]
     buttons = [

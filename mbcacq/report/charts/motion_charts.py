@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.figure import Figure
 from mbcacq.model.channel_series import ChannelSeries
 from mbcacq.report.charts.diagnosis_charts import axis
-from mbcacq.report.charts.style import AFTER, BEFORE, Chart
+from mbcacq.report.charts.style import AFTER, BEFORE, Plot
 
 MEASURED = "#777777"
 UPPER, LOWER = [0.483, 1.0], [0.0, 0.423]  # shares of the height
@@ -16,7 +16,7 @@ UPPER, LOWER = [0.483, 1.0], [0.0, 0.423]  # shares of the height
 def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> Figure:
     """Measured, model alone and with effects over time; below them the residuals, which have gaps where nothing is compared."""
     time = np.round(series.time_s, 4)
-    chart = Chart(layout={"xaxis2": {"anchor": "y2", "matches": "x"}, "yaxis2": {"anchor": "x2"}})
+    chart = Plot(layout={"xaxis2": {"anchor": "y2", "matches": "x"}, "yaxis2": {"anchor": "x2"}})
     lines = (
         ("measured", series.measured, MEASURED, 3.2, "solid", 1),
         ("model alone", series.before, BEFORE, 1.4, "dash", 1),

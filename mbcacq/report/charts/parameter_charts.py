@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import ESCAPES, Chart
+from mbcacq.report.charts.style import ESCAPES, Plot
 
 # RdBu of ColorBrewer; plotly.js calls another scale so
 RED_TO_BLUE = [
@@ -18,7 +18,7 @@ RED_TO_BLUE = [
 
 def correlation(names: list[str], matrix: np.ndarray) -> Figure:
     labels = [n.translate(ESCAPES) for n in names]
-    chart = Chart().heatmap(
+    chart = Plot().heatmap(
         labels, labels, matrix, ends=(-1, 1), colours=RED_TO_BLUE, reversescale=True, key={}, gap=0.5, hover="%{y} · %{x}: %{z:.3f}"
     )
     shared = {"tickfont": {"size": 9}, "showgrid": False, "dtick": 1, "title": "parameter", "constrain": "domain"}

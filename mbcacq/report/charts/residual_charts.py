@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, AXES, BEFORE, ESCAPES, LIMIT, LINE, PHASES, SYMBOLS, Chart, by_phase, thinned
+from mbcacq.report.charts.style import AFTER, AXES, BEFORE, ESCAPES, LIMIT, LINE, PHASES, SYMBOLS, Plot, by_phase, thinned
 from mbcacq.report.content import Residuals
 
 HEIGHT, MOST_STATIONS = 290, 60
@@ -22,7 +22,7 @@ def residual_per_pose(data: Residuals) -> Figure:
         np.logical_or.at(out, index, data.outlier)
     keep = thinned(rms)
     pose, rms, count, out = pose[keep], rms[keep], count[keep], out[keep]
-    chart = Chart()
+    chart = Plot()
     for k, name, mine in by_phase(data.phase):
         mine = mine[first][keep]
         mark = {"colour": PHASES[k % len(PHASES)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 6}
@@ -37,7 +37,7 @@ def residual_per_pose(data: Residuals) -> Figure:
 
 def places_missed(data: ArmImprovement) -> Figure:
     """By how much the arm misses each place, before and after its targets were corrected, and what noise alone would show."""
-    chart, keep = Chart(), thinned(np.array(data.before_mm))
+    chart, keep = Plot(), thinned(np.array(data.before_mm))
     pose = np.array(data.pose)[keep]
     for name, mm, colour in (("before", data.before_mm, BEFORE), ("after", data.after_mm, AFTER)):
         chart.points(pose, np.array(mm)[keep], name=name, colour=colour, size=6)
@@ -50,7 +50,7 @@ def residual_per_ball(data: Residuals) -> Figure:
     ball = np.unique(data.ball)
     labels = [str(b) for b in ball] + ["all"]
     groups = [data.ball == b for b in ball] + [np.ones(len(data.ball), dtype=bool)]
-    chart = Chart()
+    chart = Plot()
     for axis, (name, colour) in enumerate(AXES.items()):
         chart.bars(labels, [1e3 * np.sqrt(np.mean(data.xyz[g, axis] ** 2)) for g in groups], name=name, colour=colour)
     return chart.finished(HEIGHT, {"title": "ball", "type": "category"}, "residual rms / µm")
@@ -59,7 +59,7 @@ def residual_per_ball(data: Residuals) -> Figure:
 def residual_mean_per_ball(data: Residuals) -> Figure:
     """Mean residual along each scanner axis for each ball, with twice its standard error: a ball off its certificate stands out."""
     ball = np.unique(data.ball)
-    chart = Chart()
+    chart = Plot()
     for axis, (name, colour) in enumerate(AXES.items()):
         values = [1e3 * data.xyz[data.ball == b, axis] for b in ball]
         error = {"array": [2 * np.std(v) / np.sqrt(len(v)) for v in values], "color": colour, "thickness": 1.2, "width": 3}
@@ -77,7 +77,7 @@ def residual_per_station(data: Residuals, stations: np.ndarray) -> Figure:
     order = np.argsort(-rms)[:MOST_STATIONS]
     order = np.array(sorted(order, key=lambda k: np.min(np.flatnonzero(index == k))))
     names, hover = [str(s).translate(ESCAPES) for s in station[order]], "station %{x}: %{y:.1f} µm, %{customdata} centres"
-    chart = Chart().bars(names, rms[order], colour=AFTER, customdata=count[order], hover=hover)
+    chart = Plot().bars(names, rms[order], colour=AFTER, customdata=count[order], hover=hover)
     return chart.finished(HEIGHT, {"title": "station", "type": "category"}, "3D residual rms / µm")
 
 
@@ -91,7 +91,7 @@ def residual_over_axis(data: Residuals, q_deg: np.ndarray, axis: int) -> Figure:
     q = q_deg[first, axis]
     keep = thinned(rms)
     top = float(np.percentile(rms, 99)) * 1.25
-    chart = Chart().points(q[keep], np.minimum(rms[keep], top), name="pose", colour="#8fb3cc", size=4, hover="%{x:.1f}°: %{y:.1f} µm")
+    chart = Plot().points(q[keep], np.minimum(rms[keep], top), name="pose", colour="#8fb3cc", size=4, hover="%{x:.1f}°: %{y:.1f} µm")
     chart.line(*_running(q, rms), name="running rms", colour="#0B3C5D", width=2.5)
     return chart.finished(240, f"A{axis + 1} / °", {"title": "3D residual / µm", "rangemode": "tozero"})
 
@@ -109,6 +109,6 @@ def histogram(weighted: np.ndarray) -> Figure:
     density, _ = np.histogram(np.clip(values, -4.999, 4.999), edges, density=True)
     middle = (edges[1:] + edges[:-1]) / 2
     t = np.linspace(-5, 5, 201)
-    chart = Chart().bars(middle, density, width=0.2, name="observed", colour=AFTER, edge=0)
+    chart = Plot().bars(middle, density, width=0.2, name="observed", colour=AFTER, edge=0)
     chart.line(t, np.exp(-t * t / 2) / np.sqrt(2 * np.pi), name="expected", colour=LIMIT, width=2)
     return chart.finished(HEIGHT, {"title": "residual / expected σ", "range": [-5, 5]}, "density")

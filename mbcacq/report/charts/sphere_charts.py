@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, Chart, thinned
+from mbcacq.report.charts.style import AFTER, Plot, thinned
 from mbcacq.report.content import Spheres
 
 
 def sphere_quality(data: Spheres) -> Figure:
     """Residual of the sphere fits of each ball: half of them in the box, whiskers at 1.5 times its height, what lies beyond as dots."""
-    chart = Chart()
+    chart = Plot()
     for b in np.unique(data.ball):
         values = data.rms_um[data.ball == b]
         values = values[np.isfinite(values)]
@@ -23,7 +23,7 @@ def sphere_quality(data: Spheres) -> Figure:
 def sphere_points(data: Spheres) -> Figure:
     """Residual of a fit over the number of its points: poor views stand out."""
     keep = thinned(data.rms_um)
-    chart = Chart().points(
+    chart = Plot().points(
         data.n_points[keep],
         data.rms_um[keep],
         colour=AFTER,

@@ -20,10 +20,10 @@ ESCAPES = str.maketrans({"<": "&lt;", ">": "&gt;", "&": "&amp;"})
 Axis = str | Mapping[str, Any]  # the title of an axis, or its properties as plotly.js names them
 
 
-class Chart(Figure):
+class Plot(Figure):
     """A figure that is drawn by marks. hover: what is shown at a mark, in the words of plotly.js; None shows nothing, '' the values."""
 
-    def points(self, x: Any, y: Any, *, colour: Any, size: float, hover: str | None = "", **trace: Any) -> Chart:
+    def points(self, x: Any, y: Any, *, colour: Any, size: float, hover: str | None = "", **trace: Any) -> Plot:
         """Add points. trace: also symbol and opacity of them, and edge (width, colour) of each."""
         marker = {"color": colour, "size": size}
         marker |= {key: trace.pop(key) for key in ("symbol", "opacity") if key in trace}
@@ -32,13 +32,13 @@ class Chart(Figure):
         self.add_scatter(x=x, y=y, mode=trace.pop("mode", "markers"), marker=marker, **_hovered(hover), **trace)
         return self
 
-    def line(self, x: Any, y: Any, *, colour: str, width: float, dash: str = "", hover: str | None = "", **trace: Any) -> Chart:
+    def line(self, x: Any, y: Any, *, colour: str, width: float, dash: str = "", hover: str | None = "", **trace: Any) -> Plot:
         """Add a line through points."""
         line = {"color": colour, "width": width} | ({"dash": dash} if dash else {})
         self.add_scatter(x=x, y=y, mode="lines", line=line, **_hovered(hover), **trace)
         return self
 
-    def bars(self, x: Any, y: Any, *, colour: str, hover: str | None = "", **trace: Any) -> Chart:
+    def bars(self, x: Any, y: Any, *, colour: str, hover: str | None = "", **trace: Any) -> Plot:
         """Add bars from zero. trace: also edge, the width of their outline."""
         edge = {"line": {"width": trace.pop("edge")}} if "edge" in trace else {}
         self.add_bar(x=x, y=y, marker={"color": colour} | edge, **_hovered(hover), **trace)
@@ -56,13 +56,13 @@ class Chart(Figure):
         hover: str,
         gap: float = 1,
         **trace: Any,
-    ) -> Chart:
+    ) -> Plot:
         """Add fields whose colour says z, from the first to the last of ``colours`` between the ends. key: of the scale beside them."""
         scale = {"zmin": ends[0], "zmax": ends[1], "colorscale": colours, "colorbar": {"thickness": 12, "outlinewidth": 0, **key}}
         self.add("heatmap", x=x, y=y, z=z, xgap=gap, ygap=gap, **scale, **_hovered(hover), **trace)
         return self
 
-    def finished(self, height: int, x: Axis, y: Axis) -> Chart:
+    def finished(self, height: int, x: Axis, y: Axis) -> Plot:
         """The chart with its axes and the common layout, ``height`` px high."""
         self.update_xaxes(**_properties(x))
         self.update_yaxes(**_properties(y))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import PHASES, SYMBOLS, Chart, by_phase, thinned
+from mbcacq.report.charts.style import PHASES, SYMBOLS, Plot, by_phase, thinned
 from mbcacq.report.content import AccuracyGrid, Coverage
 
 SIDES = {1: "Y / mm, from above", 2: "Z / mm, from the side"}  # title of the vertical axis, by the axis of the base that it is
@@ -15,7 +15,7 @@ def joint_coverage(data: Coverage) -> Figure:
     """Every pose on the range of each axis, of an arm that has joints."""
     assert data.q_deg is not None
     n = data.q_deg.shape[1]
-    chart = Chart()
+    chart = Plot()
     for i, limits in enumerate(() if data.limits_deg is None else data.limits_deg):
         chart.line(limits, [i + 1, i + 1], colour="#e2e2e2", width=14, showlegend=False, hover=None)
     for k, name, mine in by_phase(data.phase):
@@ -29,7 +29,7 @@ def joint_coverage(data: Coverage) -> Figure:
 
 def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> Figure:
     """Where flange or balls were, xyz (k, 3) mm in the base with phase (k,) str, from above (axis 1) or from the side (axis 2)."""
-    chart = Chart()
+    chart = Plot()
     for k, name, mine in sorted(by_phase(phase), key=lambda one: -np.count_nonzero(one[2])):  # few points stand on many
         of_phase = xyz[mine]
         of_phase = of_phase[thinned(np.zeros(len(of_phase)))]
@@ -43,7 +43,7 @@ def accuracy(data: AccuracyGrid, axis: int) -> Figure:
     """Expected accuracy, from above (axis 1) or from the side (axis 2): each field shows the rms of the cells behind each other."""
     x, y, z = _projected(data, axis)
     low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
-    chart = Chart().heatmap(
+    chart = Plot().heatmap(
         x,
         y,
         1e3 * z,
@@ -69,6 +69,6 @@ def _projected(data: AccuracyGrid, axis: int) -> tuple[np.ndarray, np.ndarray, n
     return x, y, np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan)
 
 
-def add_base(chart: Chart) -> None:
+def add_base(chart: Plot) -> None:
     """The foot of the robot."""
     chart.points([0], [0], name="robot base", colour="#222222", symbol="circle-x-open", size=13, edge=(2,), hover=None)
