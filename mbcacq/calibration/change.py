@@ -107,11 +107,6 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
     return ChangeEvidence(log_e, found, _second_moment(look, kinds))
 
 
-def found_change(fitted: Adjustment) -> ChangeFound | None:
-    """The change that a recording shows; see ``evidence_of_change``."""
-    return evidence_of_change(fitted).found
-
-
 def _with_balls_again(at: Solution) -> Solution:
     """With the centres of balls of which many are rejected: a ball that moved by much is rejected from then on."""
     obs, weights = at.lineariser.obs, at.weights
