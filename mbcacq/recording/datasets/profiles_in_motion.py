@@ -37,7 +37,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _ReadingInMotion:
     """What fits one reading of the cycles' columns."""
 
     words: str
@@ -118,7 +118,7 @@ def _seen(
     return seen, sections, lost
 
 
-def _tried(cycles: Table, cycle_s: np.ndarray, seen: SeenSections, radius: float, options: TableOptions) -> Iterator[_Reading]:
+def _tried(cycles: Table, cycle_s: np.ndarray, seen: SeenSections, radius: float, options: TableOptions) -> Iterator[_ReadingInMotion]:
     """Every reading of the arm that headings and options allow."""
     measurements: list[Measurement] = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     motions: list[tuple[str, FlangeMotion]] = []
@@ -145,11 +145,11 @@ def _tried(cycles: Table, cycle_s: np.ndarray, seen: SeenSections, radius: float
                 continue
             t = found.clock.controller_time(seen.time_s[found.used])
             circles = [c for c, u in zip(seen.circles, found.used, strict=True) if u]
-            yield _Reading(words, measurement, motion, found, find_start(moving.at(t)[0], circles, radius))
+            yield _ReadingInMotion(words, measurement, motion, found, find_start(moving.at(t)[0], circles, radius))
 
 
 def _observations(
-    best: _Reading, seen: SeenSections, sections: Sections, radius: float, options: TableOptions, source: str
+    best: _ReadingInMotion, seen: SeenSections, sections: Sections, radius: float, options: TableOptions, source: str
 ) -> Observations:
     """A pose for each profile that is used, at its time, with its velocity; jitter of the stamps is in each covariance."""
     found, used = best.found, best.found.used
@@ -168,7 +168,7 @@ def _observations(
     return replace(obs, q=best.motion.coordinates(t), cell=replace(obs.cell, robot=options.robot))
 
 
-def _sentences(best: _Reading, seen: SeenSections, lost: int, radius: float) -> Iterator[str]:
+def _sentences(best: _ReadingInMotion, seen: SeenSections, lost: int, radius: float) -> Iterator[str]:
     found, clock = best.found, best.found.clock
     yield best.words
     yield f"line profiles in motion: {len(seen.circles)} show the sphere of {2 * radius:g} mm, a point within {1e3 * seen.noise_mm:.3g} um"
