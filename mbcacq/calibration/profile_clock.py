@@ -44,7 +44,7 @@ class SensorClock:
     jitter_s: float = 0.0
 
     def controller_time(self, t: np.ndarray) -> np.ndarray:
-        """Of sensor times t (P,) s."""
+        """The controller's time at sensor times t (P,) s."""
         return t + self.delay_s + self.drift * (t - self.epoch_s)
 
 
@@ -75,9 +75,9 @@ class ProfilesInMotion:
     spheres : (K, 3) ndarray
         mm, where they rest.
     clock : SensorClock
-        Of the sensor.
+        The sensor's.
     covariance : (8 + 3 K, 8 + 3 K) ndarray
-        Of the translation (mm, along the axes of the moving frame) and the rotation behind it (rad), delay and drift (s, 1), spheres (mm).
+        Translation (mm, along the axes of the moving frame), rotation behind it (rad), delay and drift (s, 1), spheres (mm).
     pose_sigma_mm : float
         Noise of a sphere's place by the pose of the flange.
     used : (P,) ndarray
@@ -143,7 +143,17 @@ def adjust_in_motion(
         )
     _, _, passing, s, velocity, known, _ = _linearised(motion, seen, at)
     clock = replace(at.clock, covariance=A[6:8, 6:8], jitter_s=float(np.sqrt(sizes[0])))
-    return ProfilesInMotion(at.T, at.spheres, clock, A, float(np.sqrt(sizes[1])), used & known, s, velocity, passing)
+    return ProfilesInMotion(
+        T_hand_eye=at.T,
+        spheres=at.spheres,
+        clock=clock,
+        covariance=A,
+        pose_sigma_mm=float(np.sqrt(sizes[1])),
+        used=used & known,
+        sphere_in_scanner=s,
+        velocity=velocity,
+        passing=passing,
+    )
 
 
 def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotion:
@@ -167,10 +177,18 @@ def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotio
             "profiles of one recording, with their times in s"
         )
     _, delay, found = best
-    nothing = np.zeros((len(seen.circles), 6))
     clock = SensorClock(float(seen.time_s.mean()), delay, 0.0, np.zeros((2, 2)))
+    nothing = np.zeros((len(seen.circles), 6))
     return ProfilesInMotion(
-        found.T_hand_eye, found.sphere[None], clock, np.eye(11), 0.0, nothing[:, 0] == 0, nothing[:, :3], nothing, nothing[:, :3]
+        T_hand_eye=found.T_hand_eye,
+        spheres=found.sphere[None],
+        clock=clock,
+        covariance=np.eye(11),
+        pose_sigma_mm=0.0,
+        used=np.ones(len(nothing), dtype=bool),
+        sphere_in_scanner=nothing[:, :3],
+        velocity=nothing,
+        passing=nothing[:, :3],
     )
 
 

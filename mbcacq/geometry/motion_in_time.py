@@ -33,7 +33,7 @@ class FlangeMotion:
 
     @classmethod
     def of_poses(cls, time_s: np.ndarray, coordinates: np.ndarray, inverted: bool = False) -> FlangeMotion:
-        """Of coordinates (N, 6) of the flange. A rotation vector that passes half a turn goes on instead of changing its sign."""
+        """The motion of coordinates (N, 6) of the flange. A rotation vector that passes half a turn goes on with its sign."""
         turn = coordinates[:, 3:]
         angle = np.maximum(np.linalg.norm(turn, axis=1), 1e-12)
         passes = (np.sum(turn[1:] * turn[:-1], axis=1) < 0) & (np.minimum(angle[1:], angle[:-1]) > np.pi / 2)
@@ -74,10 +74,11 @@ class FlangeMotion:
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses (P, 4, 4) and velocities (P, 6) in the moving frame itself, mm/s and rad/s, at times t (P,) s."""
         h = AROUND * self.step_s
-        T, earlier, later = (self._transforms(np.clip(t + d, self.time_s[0], self.time_s[-1])) for d in (0.0, -h, h))
+        before, after = np.maximum(t - h, self.time_s[0]), np.minimum(t + h, self.time_s[-1])
+        T, earlier, later = (self._transforms(moment) for moment in (t, before, after))
         shift = np.einsum("pji,pj->pi", T[:, :3, :3], later[:, :3, 3] - earlier[:, :3, 3])
         turn = se3.rotation_log(np.swapaxes(earlier[:, :3, :3], 1, 2) @ later[:, :3, :3])
-        return T, np.concatenate([shift, turn], axis=1) / (2 * h)
+        return T, np.concatenate([shift, turn], axis=1) / np.maximum(after - before, h)[:, None]
 
     def _transforms(self, t: np.ndarray) -> np.ndarray:
         T = self.chain.flange(self.coordinates(t))

@@ -86,6 +86,8 @@ def sweeps(
     off = pose_sigma * np.array([1, 1, 1, 2e-3, 2e-3, 2e-3]) * rng.normal(size=(len(true), 6))
     reported = se3.transform(se3.rotation_exp(off[:, 3:]) @ true[:, :3, :3], true[:, :3, 3] + off[:, :3])
     exposed = np.arange(0.05, end, 1 / rate_hz)
+    between = [m[0] for m in moves]  # from line to line the arm is moved at once
+    exposed = exposed[np.all(np.abs(exposed[:, None] - between) > 0.06, axis=1)]
     numbers = np.arange(len(exposed))
     keep = rng.random(len(exposed)) >= lost
     exposed, numbers = exposed[keep], numbers[keep]
