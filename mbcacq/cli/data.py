@@ -83,7 +83,7 @@ def new(
     One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot). It also has the
     measurement: the target's pose, the centre of one sphere, or those of several. If headings leave something open, the data decide. A row
     may also be a point of a line profile of a sphere (profile, profile_x_mm, profile_z_mm), with the flange's pose in each row or in a
-    table before. Of profiles on the move that table has the controller's cycles, and both have times.
+    table before. For profiles on the move that table has the cycles, and both have times.
 
     \b
     Examples:
