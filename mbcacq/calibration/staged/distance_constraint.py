@@ -81,7 +81,7 @@ def identify(
     observable = value > UNOBSERVABLE * value[-1]
     inverse = scale[:, None] * (vector[:, observable] / value[observable]) @ vector[:, observable].T * scale
     measured = measured or Measured(np.full(3, 0.02))
-    covariance, noise = propagate(chain, hand_eye, obs, distances, J, residual, inverse, measured)
+    covariance, noise = propagate(chain, hand_eye, obs, distances, J, residual, inverse=inverse, measured=measured)
     unobservable = scale[:, None] * vector[:, ~observable]
     count = max(len(residual), 1)
     return Identified(
