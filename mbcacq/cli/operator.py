@@ -1,4 +1,4 @@
-"""What a command that moves an arm is told by its options, and who it asks and informs: the person at the terminal."""
+"""Options of the commands that move an arm, and who these commands ask and inform: the person at the terminal."""
 
 from __future__ import annotations
 
