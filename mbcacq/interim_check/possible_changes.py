@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +22,7 @@ TWIST = ("x", "y", "z", "rx", "ry", "rz")
 LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at all
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PossibleChange:
     """Something that may have changed.
 
@@ -61,7 +60,7 @@ def possible_changes(obs: Observations, state: CellState, prediction: Prediction
 
     Prior probabilities are equal between names, and among the locations and variants of each.
     """
-    found = [*_masterings(state, prediction), _mount(obs, prediction), *_links(obs, state, prediction)]
+    found = [*_masterings(obs, state, prediction), _mount(obs, prediction), *_links(obs, state, prediction)]
     if standing:
         found += _artefacts(obs, prediction)
     found += _catalogued(obs, state, prediction)
@@ -78,25 +77,16 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
-def _change(
-    name: str, where: str, parameters: Sequence[str], units: Sequence[str], usual: float | np.ndarray, moved: np.ndarray
-) -> PossibleChange:
-    """moved: (M, R, k) by a unit of each parameter; usual: their usual change, one number or (k,)."""
-    size = np.broadcast_to(usual, moved.shape[2])
-    return PossibleChange(
-        name=name, where=where, parameters=tuple(parameters), units=tuple(units), usual=size, columns=rows_of(moved * size)
-    )
-
-
 def joint_columns(state: CellState, prediction: Prediction) -> np.ndarray:
     """(M, R, n): by the zero of each joint."""
     return prediction.by_twists(state.chain.joint_twists(prediction.frames))
 
 
-def _masterings(state: CellState, prediction: Prediction) -> list[PossibleChange]:
+def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     J = joint_columns(state, prediction)
-    names = [f"A{j + 1}" for j in range(state.chain.n)]
-    return [_change("mastering", A, [f"{A} zero"], ["rad"], OPTIONS.mastering, J[:, :, j : j + 1]) for j, A in enumerate(names)]
+    usual = np.array([OPTIONS.mastering])
+    axes = [(f"A{j + 1}", rows_of(J[:, :, j : j + 1] * usual)) for j in range(state.chain.n)]
+    return [PossibleChange("mastering", axis, (f"{axis} zero",), ("rad",), usual, columns) for axis, columns in axes]
 
 
 def twist_columns(obs: Observations, prediction: Prediction, place: str, index: int) -> np.ndarray:
@@ -112,7 +102,9 @@ def station_columns(obs: Observations, prediction: Prediction) -> dict[int, np.n
 
 def _moved(name: str, where: str, columns: np.ndarray, mm: float, rad: float) -> PossibleChange:
     """A change of a frame's place, by its columns (M, R, 6); mm, rad: usual sizes."""
-    return _change(name, where, TWIST, ("mm",) * 3 + ("rad",) * 3, np.repeat([mm, rad], 3), columns)
+    usual = np.repeat([mm, rad], 3)
+    units = ("mm",) * 3 + ("rad",) * 3
+    return PossibleChange(name, where, TWIST, units, usual, rows_of(columns * usual))
 
 
 def _mount(obs: Observations, prediction: Prediction) -> PossibleChange:
@@ -130,10 +122,11 @@ def _artefacts(obs: Observations, prediction: Prediction) -> list[PossibleChange
 def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     """Each link by itself: its length, offset and twist."""
     twists = state.chain.parameter_twists(prediction.frames, obs.q)
-    chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
+    chosen, units = ("d", "a", "alpha"), ("mm", "mm", "rad")
+    at = [PARAMETERS.index(p) for p in chosen]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
-    each = (prediction.by_twists(twists[:, i, chosen]) for i in range(state.chain.n))
-    return [_change("link", f"link {i}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, moved) for i, moved in enumerate(each, 1)]
+    each = [rows_of(prediction.by_twists(twists[:, i, at]) * usual) for i in range(state.chain.n)]
+    return [PossibleChange("link", f"link {i}", chosen, units, usual, columns) for i, columns in enumerate(each, 1)]
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
@@ -147,10 +140,10 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> 
             continue  # what happens within one check says nothing about days
         for number, hyper in enumerate(hyper_values(candidate, OPTIONS.hypers)):
             one = terms.term(candidate.name, parts_of(candidate, context, hyper))
+            columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
-            names, where = [f"{candidate.name}[{k}]" for k in range(candidate.k)], "+".join(candidate.where) + what
-            moved = terms.columns(obs, prediction, one)
-            change = _change(candidate.name, where, names, ("",) * candidate.k, candidate.typical, moved)
+            names, where = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k)), "+".join(candidate.where) + what
+            change = PossibleChange(candidate.name, where, names, ("",) * candidate.k, candidate.typical, columns)
             out.append(change)
             if len(candidate.where) == 1:
                 together.setdefault((candidate.name, candidate.variant, number), []).append(change)
@@ -159,39 +152,36 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> 
 
 def _together(several: list[PossibleChange]) -> PossibleChange:
     """One effect at all of its places, each with coefficients of its own: gears wear together."""
+    columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
     parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
-    what = several[0].where.partition(",")
-    return replace(
-        several[0],
-        where=f"several places{what[1]}{what[2]}",
-        parameters=parameters,
-        units=("",) * len(parameters),
-        usual=np.concatenate([r.usual for r in several]),
-        columns=np.concatenate([r.columns for r in several], axis=1),
-    )
+    _, comma, hyper = several[0].where.partition(",")
+    return PossibleChange(several[0].name, f"several places{comma}{hyper}", parameters, ("",) * len(usual), usual, columns)
 
 
 def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
+    J = joint_columns(context.state, prediction)
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
-    moved = joint_columns(context.state, prediction) * bent[context.obs.pose][:, None, :]
     usual = OPTIONS.tool_kg * OPTIONS.elastic
-    shown = np.flatnonzero(np.abs(usual * moved).max(axis=(0, 1)) > LEAST)
-    return [_change("tool", "its weight", [f"A{i + 1}" for i in shown], ("",) * len(shown), usual, moved[:, :, shown])]
+    columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
+    shown = np.abs(columns).max(axis=0) > LEAST
+    parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
+    count = len(parameters)
+    return [PossibleChange("tool", "its weight", parameters, ("",) * count, np.full(count, usual), columns[:, shown])]
 
 
 def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = joint_columns(state, prediction)
+    J = joint_columns(state, prediction) * OPTIONS.unnamed
     n = J.shape[2]
     k = obs.n_poses * n
-    moved = np.zeros((*J.shape[:2], k))
+    columns = np.zeros((J.shape[0], J.shape[1], k))
     for p in range(obs.n_poses):
         here = obs.pose == p
-        moved[here, :, p * n : (p + 1) * n] = J[here]
-    return _change(UNNAMED, "the arm", ("",) * k, ("rad",) * k, OPTIONS.unnamed, moved)
+        columns[here, :, p * n : (p + 1) * n] = J[here]
+    return PossibleChange(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, OPTIONS.unnamed), rows_of(columns))
 
 
 def _unnamed_centres(obs: Observations) -> PossibleChange:
@@ -199,13 +189,13 @@ def _unnamed_centres(obs: Observations) -> PossibleChange:
 
     Without it the null would take such a change for a larger noise, which it repeats from day to day and so is not.
     """
-    k = 3 * obs.n_centres
-    return _change(UNNAMED, SCANNER, ("",) * k, ("mm",) * k, OPTIONS.unnamed_mm, np.eye(k).reshape(-1, 3, k))
+    k, usual = 3 * obs.n_centres, OPTIONS.unnamed_mm
+    return PossibleChange(UNNAMED, SCANNER, ("",) * k, ("mm",) * k, np.full(k, usual), usual * np.eye(k))
 
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """(R, R) covariance of the rows by the noise of a centre (3,) mm and of the joints (n,) rad, which moves all of a pose together."""
-    J = joint_columns(state, prediction) * joint
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * joint
     flat = J.reshape(-1, J.shape[2])
     pose = np.repeat(obs.pose, J.shape[1])
     return (flat @ flat.T) * (pose[:, None] == pose) + np.diag(np.tile(np.asarray(point, dtype=float) ** 2, len(obs.pose)))
