@@ -44,7 +44,7 @@ class Link:
             try:
                 self._socket.sendall(data)
             except OSError as error:
-                self._failed = _lost(error, "sending failed")
+                self._failed = self._failed or _lost(error, "sending failed")
                 raise LinkLost(self._failed) from error
 
     def receive(self, timeout_s: float) -> list[tuple[float, Hello | None, State | None]]:
