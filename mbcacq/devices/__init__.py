@@ -11,6 +11,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 from __future__ import annotations
 
 from mbcacq.devices.addresses import HOST, is_host
+from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
@@ -47,6 +48,8 @@ from mbcacq.errors import (
 __all__ = [
     "HOST",
     "Aborted",
+    "ChildEnded",
+    "ChildProcess",
     "ConfigError",
     "ConnectError",
     "ContextDevice",
@@ -74,6 +77,7 @@ __all__ = [
     "create",
     "is_host",
     "is_interactive",
+    "kill",
     "load_driver",
     "parse_options",
     "same_model",
