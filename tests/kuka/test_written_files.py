@@ -35,7 +35,6 @@ EKI = {
     "tool": 7,
     "base": 2,
     "acceleration_percent": 35,
-    "path_speed_mm_s": 120.0,
     "controller_silence_ms": 800,
     "state_ms": 36,
 }
