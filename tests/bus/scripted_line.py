@@ -85,8 +85,7 @@ class ScriptedLine:
 
     def install(self, monkeypatch) -> None:
         """Whoever opens a serial line has this one."""
-        for module in (serial, serial_link):
-            monkeypatch.setattr(module, "open_port", lambda *_, **__: self)
+        monkeypatch.setattr(serial_link, "open_port", lambda *_, **__: self)
         for module in (serial, serial_link, stations):
             monkeypatch.setattr(module, "time", self)
 

@@ -194,8 +194,8 @@ def test_whatever_a_library_raises_of_a_lost_port_is_reported_as_lost(error):
     with pytest.raises(DeviceTimeout, match="was lost"):
         link.ask("POS?\n")
     sensor = SerialSensor("s", "", {"port": "COM3", "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": LIMIT_S})
-    sensor._port = LostPort(error)
-    with pytest.raises(ProtocolError, match="connection was lost"):
+    sensor._link._port = LostPort(error)
+    with pytest.raises(DeviceTimeout, match="was lost"):
         sensor.read()
 
 
