@@ -16,7 +16,7 @@ from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_link import SerialConnection, SerialLink
 from scripted_line import ScriptedLine, ScriptedRtu
 
-from mbcacq.devices import DeviceTimeout, ProtocolError
+from mbcacq.devices import DeviceTimeout
 
 VALUES = {"robot_C": 301, "air_C": 215, "bar_C": 184}
 WANTED = {"robot_C": 30.1, "air_C": 21.5, "bar_C": 18.4}
