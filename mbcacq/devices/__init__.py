@@ -31,6 +31,7 @@ from mbcacq.devices.protocols import (
     Sensor,
 )
 from mbcacq.devices.registry import available, create, load_driver
+from mbcacq.devices.tcp import LinkLost, TcpLink, hang_up, has_ended, open_tcp, reason
 from mbcacq.devices.terminal_input import is_interactive, typed_line
 from mbcacq.errors import (
     Aborted,
@@ -62,6 +63,7 @@ __all__ = [
     "Fact",
     "Field",
     "IdentityError",
+    "LinkLost",
     "MbcacqError",
     "MotionLimits",
     "Positioner",
@@ -73,13 +75,18 @@ __all__ = [
     "Scanner",
     "Sensor",
     "SystemRefused",
+    "TcpLink",
     "available",
     "create",
+    "hang_up",
+    "has_ended",
     "is_host",
     "is_interactive",
     "kill",
     "load_driver",
+    "open_tcp",
     "parse_options",
+    "reason",
     "same_model",
     "signals_deferred",
     "typed_line",

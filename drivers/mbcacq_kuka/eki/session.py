@@ -6,9 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, LinkLost, MbcacqError
 from mbcacq_kuka.eki import telegrams
-from mbcacq_kuka.eki.link import RETRY_S, Link, LinkLost, dial
+from mbcacq_kuka.eki.link import RETRY_S, Link, dial
 from mbcacq_kuka.eki.meeting import meet, refuse_moved
 from mbcacq_kuka.eki.options import EkiOptions
 from mbcacq_kuka.eki.record import Record
@@ -186,7 +186,7 @@ class EkiSession:
     def _listen(self) -> None:
         if (link := self._link) is None:
             raise LinkLost("the connection was closed")
-        for arrival, hello, state in link.receive(_POLL_S):
+        for arrival, hello, state in link.telegrams(_POLL_S):
             self._heard = arrival
             if hello is not None:
                 self.hello = hello
