@@ -96,12 +96,16 @@ def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
     result : CalibratedCell
         With link errors as random effects (``CalibrationOptions(kinematics=False)``), and with its adjustment.
     """
+    chain = result.layout.blocks[0]
+    if not chain.free.any():
+        return result
     lineariser, state = result.adjustment.lineariser, replace(result.state, chain=result.nominal)
     left_out = np.zeros(result.layout.size)
-    chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
     if lineariser.obs.cell.measurement == ARTEFACT_IN_SCANNER:  # artefacts stand where the nominal arm sees them; an instrument is a result
-        state = solve(as_it_is(lineariser.obs, state, lineariser.options.displaced), weights=result.fit.weights).estimate.state
+        fitted = zip(lineariser.options.terms, result.fit.coefficients, strict=True)
+        known = (*lineariser.options.displaced, *fitted)
+        state = solve(as_it_is(lineariser.obs, state, known), weights=result.fit.weights).estimate.state
     residual = lineariser.evaluate(Estimate(state, result.fit.coefficients)).residual
     covariance = result.covariance + np.outer(left_out, left_out)
     return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))

@@ -55,6 +55,9 @@ class Observations:
     covariance : (M, R, R) ndarray or None
         Covariance that each measurement states: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and rotation vector in the
         instrument's frame, mm^2, mm rad, rad^2).
+    shared : (M, R, K) ndarray or None
+        Change of each measurement by one standard deviation of each of K errors that all measurements share, such as those of a camera's
+        intrinsics, mm and rad.
     scale
         Factor by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
     recording : (P,) ndarray or None
@@ -89,6 +92,7 @@ class Observations:
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
     covariance: np.ndarray | None = None
+    shared: np.ndarray | None = None
     scale: float | None = None
     recording: np.ndarray | None = None
     noise_scale: np.ndarray | None = None
@@ -155,7 +159,7 @@ POSE_COLUMNS = (
     "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
-CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance")
+CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance", "shared")
 
 
 def _take(array: np.ndarray | None, mask: np.ndarray) -> np.ndarray | None:

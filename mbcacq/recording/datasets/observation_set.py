@@ -148,9 +148,9 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
     elif (target := target_columns(table)) is not None and target.rotation:
         out["rotation"] = target.transforms(table)[:, :3, :3]
         table.taken |= set(target.rotation)
-    out["covariance"] = covariances.read(table, 6 if "rotation" in out else 3)
-    if out["covariance"] is None:
-        del out["covariance"]
+    width = 6 if "rotation" in out else 3
+    stated = {"covariance": covariances.read(table, width), "shared": covariances.read_shared(table, width)}
+    out |= {name: values for name, values in stated.items() if values is not None}
     extra |= table.rest()
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}

@@ -79,6 +79,8 @@ def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= _quaternion_columns(obs, obs.rotation)
     if obs.covariance is not None:
         columns |= covariances.columns(obs.covariance)
+    if obs.shared is not None:
+        columns |= covariances.shared_columns(obs.shared)
     skip = {*columns, *QUATERNION}
     return columns | _extra(obs, "centres.", skip)
 

@@ -1,0 +1,279 @@
+"""Images of a board with poses of the arm as an observation set: the target's pose in each image, its covariance, and what the images share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.camera.adjustment import AdjustedImages, View, adjust_images
+from mbcacq.camera.board import IMAGES, Board, read_grey
+from mbcacq.camera.intrinsics import Intrinsics, read_intrinsics
+from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table
+from mbcacq.geometry import se3
+from mbcacq.recording.datasets import covariances, quaternions
+from mbcacq.recording.datasets.columns import flange_group, joint_columns
+from mbcacq.recording.datasets.csv_columns import numbers
+from mbcacq.recording.datasets.loose_table import LEAST_POSES, TableOptions, UnderstoodTable, conventions_of, understood
+
+IMAGE_COLUMN = ("image", "file", "filename", "picture", "bild", "name")
+TARGET = ("target_x_mm", "target_y_mm", "target_z_mm", "target_qw", "target_qx", "target_qy", "target_qz")
+BETTER = 5.0  # standard deviations by which free intrinsics fit better than those given, from which it is said
+BETTER_RMS = 1.15  # and the rms of those given over theirs: less changes nothing
+SWEEPS = 4  # over the images of a board that looks alike when turned
+IMAGE = "poses.image"
+
+
+@dataclass(frozen=True)
+class ImageResult:
+    """name: of its file; pose: its number in the set, None where it is not in it; points: used; rms_px, worst_px: reprojection errors, None
+    where no board was found; reason: why it is not in the set, ''."""
+
+    name: str
+    pose: int | None
+    points: int
+    rms_px: float | None
+    worst_px: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class UnderstoodImages(UnderstoodTable):
+    """The observations of images. images: one for each; intrinsics: with their standard uncertainties by the images alone, 0 where given;
+    noise_px: of one coordinate of a point."""
+
+    images: tuple[ImageResult, ...] = ()
+    intrinsics: Intrinsics | None = None
+    uncertainty: tuple[float, ...] = ()
+    noise_px: float = 0.0
+
+    @property
+    def more(self) -> dict[str, Any]:
+        lens = self.intrinsics
+        values = {} if lens is None else {n: [v, s] for n, v, s in zip(lens.names, lens.values.tolist(), self.uncertainty, strict=True)}
+        return {"images": [asdict(one) for one in self.images], "intrinsics": values, "noise_px": self.noise_px}
+
+
+def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Path | None, options: TableOptions) -> UnderstoodImages:
+    """The observations of images and of the arm's poses, which are of one row each.
+
+    Parameters
+    ----------
+    sources
+        Images, or folders of images.
+    poses
+        A row for each image, in the order of their names; or with a column ``image``.
+    board
+        What they show.
+    camera
+        File of the intrinsics; None: they are estimated.
+    options
+        Of the poses, as for any table.
+
+    Raises
+    ------
+    ConfigError
+        Images and poses do not belong together, or too few images show the board.
+    CalibrationError
+        The images do not determine the intrinsics.
+    """
+    files = _images_of(sources)
+    row_of = _rows_of(files, poses)
+    given = read_intrinsics(camera) if camera else None
+    views, rows, missing, size = _found(files, row_of, board, given)
+    adjusted = adjust_images(board, views, size, given)
+    if board.kind in ("aruco", "april"):
+        at = {file.name: file for file in files}
+        views = [replace(v, uv=board.refined(read_grey(at[v.name]), v.ids, v.uv, adjusted.intrinsics)) for v in views]
+        adjusted = adjust_images(board, views, size, given)
+    warnings = [] if given is None else _doubts(board, views, size, adjusted)
+    if len(board.turns) > 1:
+        views = _turned(board, views, adjusted.T, poses.rows(_mask(rows, len(poses))), options)
+        adjusted = adjust_images(board, views, size, given)
+    good = ~adjusted.contradicts
+    if good.sum() < LEAST_POSES:
+        raise ConfigError(f"{int(good.sum())} images agree with the board, at least {LEAST_POSES} are needed; check --board and its measures")
+    kept = np.array(rows)[good]
+    table = _table(poses.rows(_mask(kept, len(poses))), adjusted.T[good], adjusted.covariance[good])
+    found = understood(table, replace(options, target="wxyz", target_inverted=False))
+    names = np.array([v.name for v in views])
+    obs = replace(found.observations, shared=adjusted.shared[good], extra={**found.observations.extra, IMAGE: names[good]})
+    images = _results(adjusted, names, missing)
+    sentences = (*_sentences(adjusted, board, images, given is not None), *warnings, *found.sentences)
+    spread = tuple(adjusted.uncertainty.tolist())
+    return UnderstoodImages(obs, sentences, images, adjusted.intrinsics, spread, adjusted.sigma_px)
+
+
+def _mask(rows: Sequence[int] | np.ndarray, count: int) -> np.ndarray:
+    return np.isin(np.arange(count), rows)
+
+
+def _images_of(sources: Sequence[Path]) -> list[Path]:
+    """The images, in the order of the numbers in their names."""
+    out: list[Path] = []
+    for source in sources:
+        if not source.exists():
+            raise ConfigError(f"{source} does not exist; give images, or a folder of images")
+        inside = sorted(source.iterdir(), key=_by_number) if source.is_dir() else [source]
+        out += [path for path in inside if path.suffix.lower() in IMAGES]
+    if not out:
+        raise ConfigError(f"{', '.join(map(str, sources))}: no images ({' '.join(IMAGES)})")
+    return out
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _rows_of(files: Sequence[Path], poses: Table) -> list[int | None]:
+    """The row of the poses of each image, None where it has none: by their names, else in their order. Raises ConfigError."""
+    column = next((name for name in poses.columns if name.strip().lower() in IMAGE_COLUMN), None)
+    if column is not None:
+        named = {Path(cell.strip()).name: row for row, cell in enumerate(poses.columns[column])}
+        rows = [named.get(file.name, named.get(file.stem)) for file in files]
+        if not any(row is not None for row in rows):
+            raise ConfigError(f"{poses.path}: none of the names in column {column} is that of an image, such as {files[0].name}")
+        return rows
+    if len(files) != len(poses):
+        raise ConfigError(
+            f"{poses.path}: {len(poses)} poses and {len(files)} images; give a row for each image, in the order of their names, or add a "
+            "column image with the names"
+        )
+    return list(range(len(files)))
+
+
+def _found(
+    files: Sequence[Path], row_of: Sequence[int | None], board: Board, given: Intrinsics | None
+) -> tuple[list[View], list[int], list[ImageResult], tuple[int, int]]:
+    """The views in the order of the poses with their rows, the images without the board or without a pose, and the size of the images."""
+    seen: dict[int, View] = {}
+    missing: list[ImageResult] = []
+    size = given.size if given else None
+    for file, row in zip(files, row_of, strict=True):
+        if row is None:
+            missing.append(ImageResult(file.name, None, 0, None, None, "no pose of the arm"))
+            continue
+        grey = read_grey(file)
+        here = (grey.shape[1], grey.shape[0])
+        size = size or here
+        if here != size:
+            raise ConfigError(f"{file}: {here[0]} x {here[1]} px, and {size[0]} x {size[1]} are expected; give images of one camera and mode")
+        found = board.find(grey)
+        if found is None:
+            missing.append(ImageResult(file.name, None, 0, None, None, "the board was not found"))
+        else:
+            seen[row] = View(file.name, *found)
+    if len(seen) < LEAST_POSES or size is None:
+        raise ConfigError(
+            f"{len(seen)} of {len(files)} images show the {board.kind} board of {board.columns} x {board.rows}, at least {LEAST_POSES} are "
+            f"needed; check --board, --size{' and --dictionary' if board.dictionary else ' (inner corners of a chessboard)'}"
+        )
+    return [seen[row] for row in sorted(seen)], sorted(seen), missing, size
+
+
+def _doubts(board: Board, views: Sequence[View], size: tuple[int, int], adjusted: AdjustedImages) -> list[str]:
+    """A sentence where other intrinsics fit the images clearly better than those that were given."""
+    try:
+        free = adjust_images(board, views, size)
+    except Exception:  # too few images to say anything
+        return []
+    of_given, of_free = (np.sqrt(np.average(a.rms_px**2, weights=np.maximum(a.points, 1))) for a in (adjusted, free))
+    dof, more = 2 * free.points.sum(), len(free.intrinsics.values)
+    gain = dof * ((of_given / of_free) ** 2 - 1)
+    if gain < more + BETTER * np.sqrt(2 * more) or of_given < BETTER_RMS * of_free:
+        return []
+    f, g = free.intrinsics.focal.mean(), adjusted.intrinsics.focal.mean()
+    return [
+        f"warning: other intrinsics than those of --camera fit the images better: {of_free:.2f} px rms instead of {of_given:.2f}, with a focal "
+        f"length of {f:.1f} px instead of {g:.1f}; check that they are of this camera and mode, or leave --camera out"
+    ]
+
+
+def _turned(board: Board, views: Sequence[View], T: np.ndarray, poses: Table, options: TableOptions) -> list[View]:
+    """The views of a board that looks alike when turned, each turned so that it turned by as much as the flange did between the images."""
+    group = None if joint_columns(poses) and options.robot else flange_group(poses)
+    if group is None:
+        return list(views)
+    order = board.turns
+    # A turn of the points about the board's middle turns the board's frame.
+    R = np.array([se3.fit_rigid_transforms(board.points, board.points[k], np.zeros(len(k), int), 1)[0, :3, :3] for k in order])
+    seen = np.einsum("iab,kbc->ikac", T[:, :3, :3], R)
+    between = _angles(seen[:, :, None, None], seen[None, None])
+    best: tuple[float, np.ndarray] | None = None
+    for convention in conventions_of(group, options.flange, "--flange"):
+        flange = replace(group, convention=convention, alternatives=()).transforms(poses)[:, :3, :3]
+        moved = _angles(flange[:, None], flange[None])
+        chosen = np.zeros(len(T), dtype=int)
+        for _ in range(SWEEPS):
+            for i in range(1, len(T)):
+                off = np.abs(between[i][:, np.arange(len(T)), chosen] - moved[i])
+                off[:, i] = 0.0
+                chosen[i] = int(np.argmin(np.median(off, axis=1) + off.mean(axis=1)))
+        off = np.abs(between[np.arange(len(T))[:, None], chosen[:, None], np.arange(len(T)), chosen] - moved)
+        if best is None or off.mean() < best[0]:
+            best = float(off.mean()), chosen
+    assert best is not None, "there is a convention"
+    return [View(v.name, np.argsort(order[k])[v.ids] if k else v.ids, v.uv) for v, k in zip(views, best[1], strict=True)]
+
+
+def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles (...) rad between rotations (..., 3, 3)."""
+    trace = np.einsum("...ij,...ij->...", a, b)
+    return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+
+
+def _table(poses: Table, T: np.ndarray, covariance: np.ndarray) -> Table:
+    """The poses of the arm beside those of the target."""
+    group, joints = flange_group(poses), joint_columns(poses)
+    own = {*joints, *((*group.names, *group.closing) if group else ()), "station", "time_s"}
+    columns = {name: cells for name, cells in poses.columns.items() if name in own}
+    values = np.c_[T[:, :3, 3], quaternions.from_matrix(T[:, :3, :3])]
+    columns |= {name: tuple(numbers(values[:, k])) for k, name in enumerate(TARGET)}
+    columns |= {name: tuple(cells) for name, cells in covariances.columns(covariance).items()}
+    return replace(poses, columns=columns, taken=set())
+
+
+def _results(adjusted: AdjustedImages, names: np.ndarray, missing: Sequence[ImageResult]) -> tuple[ImageResult, ...]:
+    number = np.cumsum(~adjusted.contradicts)
+    return (
+        *(
+            ImageResult(
+                str(names[i]),
+                None if bad else int(number[i]),
+                int(adjusted.points[i]),
+                float(adjusted.rms_px[i]),
+                float(adjusted.worst_px[i]),
+                f"contradicts itself: {adjusted.rejected[i]} of {adjusted.rejected[i] + adjusted.points[i]} points are not where a board has "
+                f"them (rms {adjusted.rms_px[i]:.2f} px)"
+                if bad
+                else "",
+            )
+            for i, bad in enumerate(adjusted.contradicts)
+        ),
+        *missing,
+    )
+
+
+def _sentences(adjusted: AdjustedImages, board: Board, images: Sequence[ImageResult], given: bool) -> list[str]:
+    used = [one for one in images if one.pose is not None]
+    rms = np.array([one.rms_px for one in used], dtype=float)
+    worst = max(used, key=lambda one: one.rms_px or 0.0)
+    lens, spread = adjusted.intrinsics, adjusted.uncertainty
+    out = [
+        f"{len(used)} of {len(images)} images show the {board.kind} board, {sum(one.points for one in used)} points; reprojection error "
+        f"{np.sqrt(np.mean(rms**2)):.3f} px rms (largest in {worst.name}: {worst.rms_px:.3f} px); noise {adjusted.sigma_px:.3f} px"
+    ]
+    if gross := int(adjusted.rejected[~adjusted.contradicts].sum()):
+        out.append(f"{gross} points are gross errors and are left out")
+    if given:
+        out.append(f"intrinsics as given: {', '.join(f'{n} {v:.6g}' for n, v in zip(lens.names, lens.values, strict=True))}; taken as exact")
+    else:
+        figures = ", ".join(f"{n} {v:.6g} +- {2 * s:.2g}" for n, v, s in zip(lens.names, lens.values, spread, strict=True))
+        out.append(f"intrinsics by the images alone (U, k = 2): {figures}; the calibration estimates them with everything else")
+    out += [f"not used: {one.name} ({one.reason})" for one in images if one.pose is None]
+    return out
