@@ -10,7 +10,7 @@ calibration estimates with everything else: poses of the flange say more of the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -195,7 +195,11 @@ class _Problem:
                 f"the images determine the focal length to {100 * off.max():.0f} % only; tilt the board by 20 to 40 deg in different "
                 "directions, or give --camera FILE"
             )
-        bad = (rms > CONTRADICTS * np.median(rms)) | (gross > MOST_GROSS * (gross + used)) | (used < min(LEAST_POINTS, len(self.board.points)))
+        bad = (
+            (rms > CONTRADICTS * np.median(rms))
+            | (gross > MOST_GROSS * (gross + used))
+            | (used < min(LEAST_POINTS, len(self.board.points)))
+        )
         return AdjustedImages(
             intrinsics=lens,
             root=root,

@@ -55,7 +55,9 @@ class Board:
 
     def __post_init__(self) -> None:
         if self.kind in ("charuco", "aruco", "april", "circles", "asymmetric-circles") and not 0 < self.inner_mm < self.pitch_mm:
-            raise ConfigError(f"the {'circles' if self.circles else 'markers'} of {self.inner_mm:g} mm do not fit a pitch of {self.pitch_mm:g}")
+            raise ConfigError(
+                f"the {'circles' if self.circles else 'markers'} of {self.inner_mm:g} mm do not fit a pitch of {self.pitch_mm:g}"
+            )
         if self.dictionary and not hasattr(opencv().aruco, f"DICT_{self.dictionary.upper()}"):
             raise ConfigError(f"OpenCV has no dictionary '{self.dictionary}'; give one such as 5X5_100 or APRILTAG_36h11")
 
@@ -162,7 +164,8 @@ def board_of(kind: str, size: str, pitch_mm: float, inner_mm: float | None = Non
         raise ConfigError(f"the size '{size}' of the board is none; give columns and rows, such as 8x6")
     marked = kind in ("charuco", "aruco", "april")
     if marked and inner_mm is None:
-        raise ConfigError(f"the side of the markers is missing; give --inner MM, and --pitch MM, the {'side of a square' if kind == 'charuco' else 'distance of their centres'}")
+        of_pitch = "side of a square" if kind == "charuco" else "distance of their centres"
+        raise ConfigError(f"the side of the markers is missing; give --inner MM beside --pitch MM, the {of_pitch}")
     names = dictionary or ("APRILTAG_36h11" if kind == "april" else "5X5_100")
     return Board(
         kind=kind,

@@ -109,7 +109,9 @@ def read_intrinsics(path: Path) -> Intrinsics:
     """Intrinsics of OpenCV (YAML, JSON), ROS camera_info, Kalibr or COLMAP (cameras.txt). Raises ConfigError naming what is missing."""
     text = read_bounded(path, MAX_BYTES).decode("utf-8", "replace") if path.is_file() else ""
     if not text:
-        raise ConfigError(f"{path} does not exist; give a file of intrinsics (OpenCV, ROS camera_info, Kalibr, COLMAP), or leave --camera out")
+        raise ConfigError(
+            f"{path} does not exist; give a file of intrinsics (OpenCV, ROS camera_info, Kalibr, COLMAP), or leave --camera out"
+        )
     rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
     try:
         if rows and len(rows[0]) > 4 and rows[0][1] in COLMAP:
@@ -131,7 +133,9 @@ def _colmap(path: Path, rows: list[list[str]]) -> Intrinsics:
     names = ("k1", "k2", "k3", "k4") if fisheye else NAMES[4:12]
     distortion = np.array([v.get(name, 0.0) for name in names])
     # The middle of the first pixel is 0.5 in COLMAP.
-    return _checked(path, v.get("fx", v.get("f", 0.0)), v.get("fy", v.get("f", 0.0)), v["cx"] - 0.5, v["cy"] - 0.5, distortion, fisheye, (width, height))
+    return _checked(
+        path, v.get("fx", v.get("f", 0.0)), v.get("fy", v.get("f", 0.0)), v["cx"] - 0.5, v["cy"] - 0.5, distortion, fisheye, (width, height)
+    )
 
 
 def _kalibr(path: Path, content: dict[str, Any]) -> Intrinsics | None:
@@ -144,7 +148,9 @@ def _kalibr(path: Path, content: dict[str, Any]) -> Intrinsics | None:
     (one,) = cameras.values()
     model, distorted = one.get("camera_model", "pinhole"), one.get("distortion_model", "none")
     if model != "pinhole" or distorted not in ("radtan", "none", *FISHEYE):
-        raise ConfigError(f"{path}: the model {model} with distortion {distorted} is not known; calibrate with pinhole-radtan or pinhole-equi")
+        raise ConfigError(
+            f"{path}: the model {model} with distortion {distorted} is not known; calibrate with pinhole-radtan or pinhole-equi"
+        )
     return _checked(path, *one["intrinsics"], one.get("distortion_coeffs", ()), distorted in FISHEYE, one.get("resolution"))
 
 
@@ -155,7 +161,9 @@ def _matrix_and_coefficients(path: Path, content: dict[str, Any]) -> Intrinsics:
 
     K, distortion = numbers(MATRIX_KEYS), numbers(DISTORTION_KEYS)
     if K is None or len(K) != 9 or distortion is None:
-        raise ConfigError(f"{path}: no camera matrix of nine numbers with distortion coefficients; give a file of OpenCV, ROS, Kalibr or COLMAP")
+        raise ConfigError(
+            f"{path}: no camera matrix of nine numbers with distortion coefficients; give a file of OpenCV, ROS, Kalibr or COLMAP"
+        )
     model = str(content.get("distortion_model", "plumb_bob"))
     size = [content.get(f"image_{side}", content.get(f"image_{side.capitalize()}", content.get(side))) for side in ("width", "height")]
     return _checked(path, K[0], K[4], K[2], K[5], distortion, model in FISHEYE, None if None in size else size)

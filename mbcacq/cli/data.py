@@ -79,7 +79,9 @@ _IMAGE_OPTIONS = (
     click.option("--poses", type=click.Path(path_type=Path, dir_okay=False), help="Images: the table of the arm's poses, a row for each."),
     click.option("--board", "kind", type=click.Choice(_BOARDS), help="Images: what they show."),
     click.option(
-        "--size", metavar="COLUMNSxROWS", help="Squares of a charuco board, inner corners of a chessboard, markers, or circles of the board."
+        "--size",
+        metavar="COLUMNSxROWS",
+        help="Squares of a charuco board, inner corners of a chessboard, markers, or circles of the board.",
     ),
     click.option("--pitch", type=click.FloatRange(0, min_open=True), metavar="MM", help="Side of a square, or distance of centres."),
     click.option(
@@ -138,7 +140,11 @@ def new(
 
 
 def _write_images(
-    files: tuple[Path, ...], board: dict[str, Any], more: tuple[float | None, str | None, Path | None], options: TableOptions, folder: Path,
+    files: tuple[Path, ...],
+    board: dict[str, Any],
+    more: tuple[float | None, str | None, Path | None],
+    options: TableOptions,
+    folder: Path,
     as_json: bool,
 ) -> None:
     """The set of images. board: what must be said of them; more: side or diameter, dictionary, file of the intrinsics."""
@@ -209,7 +215,8 @@ def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
     write_observation_set(obs, folder)
     if as_json:
         content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
-        echo(json.dumps({**content, **found.more, "understood": list(found.sentences)}))
+        more = {} if obs.images is None else {"images": obs.images.to_dict()}
+        echo(json.dumps({**content, **more, "understood": list(found.sentences)}))
         return
     for sentence in found.sentences:
         echo(sentence)

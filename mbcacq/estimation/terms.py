@@ -57,7 +57,7 @@ class Term:
         return replace(self, parts=at_poses(self.parts, poses, pose))
 
 
-SHARED = "shared"
+SHARED = "unknown:shared"  # as all coefficients that mean nothing by themselves
 
 
 def shared_errors(obs: Observations) -> tuple[Term, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.model.board_images import BoardImages
 from mbcacq.model.cell import Cell
 
 
@@ -66,6 +67,8 @@ class Observations:
         Sigma of a centre's coordinates and of each joint, relative to those of the first recording.
     payload_com : (P, 3) ndarray or None
         Centre of gravity of the payload in the flange frame, mm.
+    images : BoardImages or None
+        The images from which the observations were made.
     extra
         Columns that this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
     cell_yaml
@@ -97,6 +100,7 @@ class Observations:
     recording: np.ndarray | None = None
     noise_scale: np.ndarray | None = None
     payload_com: np.ndarray | None = None
+    images: BoardImages | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_yaml: str = ""
 

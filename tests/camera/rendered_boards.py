@@ -46,7 +46,7 @@ def texture(board: Board) -> tuple[np.ndarray, np.ndarray]:
         return made.generateImage((int(c * pitch * TEXTURE), int(r * pitch * TEXTURE)), marginSize=0), np.zeros(2)
     if board.kind in ("aruco", "april"):
         made = cv2.aruco.GridBoard((c, r), board.inner_mm, pitch - board.inner_mm, board._aruco)
-        w, h = (n - 1) * pitch + board.inner_mm if False else 0, 0
+
         w, h = (c - 1) * pitch + board.inner_mm, (r - 1) * pitch + board.inner_mm
         return made.generateImage((int(w * TEXTURE), int(h * TEXTURE)), marginSize=0), np.zeros(2)
     if board.kind == "chessboard":
@@ -98,7 +98,9 @@ def make(kind: str, rng: np.random.Generator, *, fixed: bool = False, poses: int
     board = BOARDS[kind]
     X = se3.transform(se3.rotation_exp(0.3 * rng.normal(size=3)), np.array([30.0, -10, 120]) + 20 * rng.normal(size=3))
     turn = np.array([np.pi, 0, 0]) * (1 - fixed)
-    Z = se3.transform(se3.rotation_exp(turn) @ se3.rotation_exp(0.3 * rng.normal(size=3)), np.array([650.0, 0, 100]) + 50 * rng.normal(size=3))
+    Z = se3.transform(
+        se3.rotation_exp(turn) @ se3.rotation_exp(0.3 * rng.normal(size=3)), np.array([650.0, 0, 100]) + 50 * rng.normal(size=3)
+    )
     seen = np.array([camera_pose(board, rng, kind in ("chessboard", "circles")) for _ in range(poses)])
     true = Z @ seen @ se3.inverse(X) if fixed else Z @ se3.inverse(seen) @ se3.inverse(X)
     off = POSE_SIGMA * rng.normal(size=(poses, 6))

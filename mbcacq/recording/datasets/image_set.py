@@ -1,21 +1,21 @@
-"""Images of a board with poses of the arm as an observation set: the target's pose in each image, its covariance, and what the images share."""
+"""Images of a board with poses of the arm as observations: the target's pose in each image, its covariance, and what the images share."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mbcacq.camera.adjustment import AdjustedImages, View, adjust_images
 from mbcacq.camera.board import IMAGES, Board, read_grey
 from mbcacq.camera.intrinsics import Intrinsics, read_intrinsics
-from mbcacq.errors import ConfigError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.files.table import Table
 from mbcacq.geometry import se3
+from mbcacq.model.board_images import BoardImage, BoardImages
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.columns import flange_group, joint_columns
 from mbcacq.recording.datasets.csv_columns import numbers
@@ -26,40 +26,9 @@ TARGET = ("target_x_mm", "target_y_mm", "target_z_mm", "target_qw", "target_qx",
 BETTER = 5.0  # standard deviations by which free intrinsics fit better than those given, from which it is said
 BETTER_RMS = 1.15  # and the rms of those given over theirs: less changes nothing
 SWEEPS = 4  # over the images of a board that looks alike when turned
-IMAGE = "poses.image"
 
 
-@dataclass(frozen=True)
-class ImageResult:
-    """name: of its file; pose: its number in the set, None where it is not in it; points: used; rms_px, worst_px: reprojection errors, None
-    where no board was found; reason: why it is not in the set, ''."""
-
-    name: str
-    pose: int | None
-    points: int
-    rms_px: float | None
-    worst_px: float | None
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class UnderstoodImages(UnderstoodTable):
-    """The observations of images. images: one for each; intrinsics: with their standard uncertainties by the images alone, 0 where given;
-    noise_px: of one coordinate of a point."""
-
-    images: tuple[ImageResult, ...] = ()
-    intrinsics: Intrinsics | None = None
-    uncertainty: tuple[float, ...] = ()
-    noise_px: float = 0.0
-
-    @property
-    def more(self) -> dict[str, Any]:
-        lens = self.intrinsics
-        values = {} if lens is None else {n: [v, s] for n, v, s in zip(lens.names, lens.values.tolist(), self.uncertainty, strict=True)}
-        return {"images": [asdict(one) for one in self.images], "intrinsics": values, "noise_px": self.noise_px}
-
-
-def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Path | None, options: TableOptions) -> UnderstoodImages:
+def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Path | None, options: TableOptions) -> UnderstoodTable:
     """The observations of images and of the arm's poses, which are of one row each.
 
     Parameters
@@ -97,16 +66,22 @@ def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Pat
         adjusted = adjust_images(board, views, size, given)
     good = ~adjusted.contradicts
     if good.sum() < LEAST_POSES:
-        raise ConfigError(f"{int(good.sum())} images agree with the board, at least {LEAST_POSES} are needed; check --board and its measures")
+        raise ConfigError(
+            f"{int(good.sum())} images agree with the board, at least {LEAST_POSES} are needed; check --board and its measures"
+        )
     kept = np.array(rows)[good]
     table = _table(poses.rows(_mask(kept, len(poses))), adjusted.T[good], adjusted.covariance[good])
     found = understood(table, replace(options, target="wxyz", target_inverted=False))
-    names = np.array([v.name for v in views])
-    obs = replace(found.observations, shared=adjusted.shared[good], extra={**found.observations.extra, IMAGE: names[good]})
-    images = _results(adjusted, names, missing)
-    sentences = (*_sentences(adjusted, board, images, given is not None), *warnings, *found.sentences)
-    spread = tuple(adjusted.uncertainty.tolist())
-    return UnderstoodImages(obs, sentences, images, adjusted.intrinsics, spread, adjusted.sigma_px)
+    lens = adjusted.intrinsics
+    images = BoardImages(
+        intrinsics=lens.names,
+        values=lens.values,
+        root=adjusted.root,
+        noise_px=adjusted.sigma_px,
+        images=(*_results(adjusted, views), *missing),
+    )
+    obs = replace(found.observations, shared=adjusted.shared[good], images=images)
+    return UnderstoodTable(obs, (*_sentences(adjusted, board, images), *warnings, *found.sentences))
 
 
 def _mask(rows: Sequence[int] | np.ndarray, count: int) -> np.ndarray:
@@ -149,23 +124,25 @@ def _rows_of(files: Sequence[Path], poses: Table) -> list[int | None]:
 
 def _found(
     files: Sequence[Path], row_of: Sequence[int | None], board: Board, given: Intrinsics | None
-) -> tuple[list[View], list[int], list[ImageResult], tuple[int, int]]:
+) -> tuple[list[View], list[int], list[BoardImage], tuple[int, int]]:
     """The views in the order of the poses with their rows, the images without the board or without a pose, and the size of the images."""
     seen: dict[int, View] = {}
-    missing: list[ImageResult] = []
+    missing: list[BoardImage] = []
     size = given.size if given else None
     for file, row in zip(files, row_of, strict=True):
         if row is None:
-            missing.append(ImageResult(file.name, None, 0, None, None, "no pose of the arm"))
+            missing.append(BoardImage(name=file.name, reason="no pose of the arm"))
             continue
         grey = read_grey(file)
         here = (grey.shape[1], grey.shape[0])
         size = size or here
         if here != size:
-            raise ConfigError(f"{file}: {here[0]} x {here[1]} px, and {size[0]} x {size[1]} are expected; give images of one camera and mode")
+            raise ConfigError(
+                f"{file}: {here[0]} x {here[1]} px, and {size[0]} x {size[1]} are expected; give images of one camera and mode"
+            )
         found = board.find(grey)
         if found is None:
-            missing.append(ImageResult(file.name, None, 0, None, None, "the board was not found"))
+            missing.append(BoardImage(name=file.name, reason="the board was not found"))
         else:
             seen[row] = View(file.name, *found)
     if len(seen) < LEAST_POSES or size is None:
@@ -180,7 +157,7 @@ def _doubts(board: Board, views: Sequence[View], size: tuple[int, int], adjusted
     """A sentence where other intrinsics fit the images clearly better than those that were given."""
     try:
         free = adjust_images(board, views, size)
-    except Exception:  # too few images to say anything
+    except CalibrationError:  # too few images to say anything
         return []
     of_given, of_free = (np.sqrt(np.average(a.rms_px**2, weights=np.maximum(a.points, 1))) for a in (adjusted, free))
     dof, more = 2 * free.points.sum(), len(free.intrinsics.values)
@@ -189,8 +166,8 @@ def _doubts(board: Board, views: Sequence[View], size: tuple[int, int], adjusted
         return []
     f, g = free.intrinsics.focal.mean(), adjusted.intrinsics.focal.mean()
     return [
-        f"warning: other intrinsics than those of --camera fit the images better: {of_free:.2f} px rms instead of {of_given:.2f}, with a focal "
-        f"length of {f:.1f} px instead of {g:.1f}; check that they are of this camera and mode, or leave --camera out"
+        f"warning: other intrinsics than those of --camera fit the images better: {of_free:.2f} px rms instead of {of_given:.2f}, with a "
+        f"focal length of {f:.1f} px instead of {g:.1f}; check that they are of this camera and mode, or leave --camera out"
     ]
 
 
@@ -238,42 +215,44 @@ def _table(poses: Table, T: np.ndarray, covariance: np.ndarray) -> Table:
     return replace(poses, columns=columns, taken=set())
 
 
-def _results(adjusted: AdjustedImages, names: np.ndarray, missing: Sequence[ImageResult]) -> tuple[ImageResult, ...]:
-    number = np.cumsum(~adjusted.contradicts)
-    return (
-        *(
-            ImageResult(
-                str(names[i]),
-                None if bad else int(number[i]),
-                int(adjusted.points[i]),
-                float(adjusted.rms_px[i]),
-                float(adjusted.worst_px[i]),
-                f"contradicts itself: {adjusted.rejected[i]} of {adjusted.rejected[i] + adjusted.points[i]} points are not where a board has "
-                f"them (rms {adjusted.rms_px[i]:.2f} px)"
-                if bad
-                else "",
+def _results(adjusted: AdjustedImages, views: Sequence[View]) -> list[BoardImage]:
+    number, out = 0, []
+    for i, view in enumerate(views):
+        used, gross, rms = int(adjusted.points[i]), int(adjusted.rejected[i]), float(adjusted.rms_px[i])
+        bad = bool(adjusted.contradicts[i])
+        number += not bad
+        reason = (
+            f"no pose of a board explains it: {gross} of {used + gross} points are gross errors, and {rms:.2f} px rms is left of others"
+        )
+        out.append(
+            BoardImage(
+                name=view.name,
+                pose=None if bad else number,
+                points=used,
+                rms_px=rms,
+                worst_px=float(adjusted.worst_px[i]),
+                reason=reason if bad else "",
             )
-            for i, bad in enumerate(adjusted.contradicts)
-        ),
-        *missing,
-    )
+        )
+    return out
 
 
-def _sentences(adjusted: AdjustedImages, board: Board, images: Sequence[ImageResult], given: bool) -> list[str]:
-    used = [one for one in images if one.pose is not None]
-    rms = np.array([one.rms_px for one in used], dtype=float)
+def _sentences(adjusted: AdjustedImages, board: Board, images: BoardImages) -> list[str]:
+    used = [one for one in images.images if one.pose is not None]
     worst = max(used, key=lambda one: one.rms_px or 0.0)
-    lens, spread = adjusted.intrinsics, adjusted.uncertainty
+    rms = np.sqrt(np.mean([(one.rms_px or 0.0) ** 2 for one in used]))
     out = [
-        f"{len(used)} of {len(images)} images show the {board.kind} board, {sum(one.points for one in used)} points; reprojection error "
-        f"{np.sqrt(np.mean(rms**2)):.3f} px rms (largest in {worst.name}: {worst.rms_px:.3f} px); noise {adjusted.sigma_px:.3f} px"
+        f"{len(used)} of {len(images.images)} images show the {board.kind} board, {sum(one.points for one in used)} points; reprojection "
+        f"error {rms:.3f} px rms, largest in {worst.name} ({worst.rms_px:.3f} px); noise of a coordinate {adjusted.sigma_px:.3f} px"
     ]
     if gross := int(adjusted.rejected[~adjusted.contradicts].sum()):
         out.append(f"{gross} points are gross errors and are left out")
-    if given:
-        out.append(f"intrinsics as given: {', '.join(f'{n} {v:.6g}' for n, v in zip(lens.names, lens.values, strict=True))}; taken as exact")
+    lens = adjusted.intrinsics
+    if adjusted.root.shape[1]:
+        spread = zip(lens.names, lens.values, adjusted.uncertainty, strict=True)
+        figures = ", ".join(f"{name} {value:.6g} ± {2 * std:.2g}" for name, value, std in spread)
+        out.append(f"intrinsics by the images alone, ± U (k = 2): {figures}; the calibration estimates them with everything else")
     else:
-        figures = ", ".join(f"{n} {v:.6g} +- {2 * s:.2g}" for n, v, s in zip(lens.names, lens.values, spread, strict=True))
-        out.append(f"intrinsics by the images alone (U, k = 2): {figures}; the calibration estimates them with everything else")
-    out += [f"not used: {one.name} ({one.reason})" for one in images if one.pose is None]
-    return out
+        figures = ", ".join(f"{name} {value:.6g}" for name, value in zip(lens.names, lens.values, strict=True))
+        out.append(f"intrinsics as given, taken as exact: {figures}")
+    return out + [f"not used: {one.name} ({one.reason})" for one in images.images if one.pose is None]

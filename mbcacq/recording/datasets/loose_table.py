@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -76,11 +75,6 @@ class UnderstoodTable:
 
     observations: Observations
     sentences: tuple[str, ...]
-
-    @property
-    def more(self) -> dict[str, Any]:
-        """Further figures, for programs."""
-        return {}
 
 
 @dataclass(frozen=True)
