@@ -151,7 +151,8 @@ def _kalibr(path: Path, content: dict[str, Any]) -> Intrinsics | None:
         raise ConfigError(
             f"{path}: the model {model} with distortion {distorted} is not known; calibrate with pinhole-radtan or pinhole-equi"
         )
-    return _checked(path, *one["intrinsics"], one.get("distortion_coeffs", ()), distorted in FISHEYE, one.get("resolution"))
+    fx, fy, cx, cy = one["intrinsics"]
+    return _checked(path, fx, fy, cx, cy, one.get("distortion_coeffs", ()), distorted in FISHEYE, one.get("resolution"))
 
 
 def _matrix_and_coefficients(path: Path, content: dict[str, Any]) -> Intrinsics:

@@ -19,12 +19,9 @@ def camera_rows(images: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def image_rows(images: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     """(name, points, rms px, largest px, why it is not used or '') of each image."""
-    return [
-        (
-            str(one["name"]),
-            str(one["points"]),
-            *("–" if one[key] is None else f"{float(one[key]):.3f}" for key in ("rms_px", "worst_px")),
-            str(one["reason"]),
-        )
-        for one in images["images"]
-    ]
+
+    def figure(value: float | None) -> str:
+        return "–" if value is None else f"{float(value):.3f}"
+
+    every = images["images"]
+    return [(str(o["name"]), str(o["points"]), figure(o["rms_px"]), figure(o["worst_px"]), str(o["reason"])) for o in every]
