@@ -32,7 +32,7 @@ PRIOR = {"k1": 1.0, "k2": 1.0, "p1": 0.05, "p2": 0.05, "k3": 1.0}
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """What an image shows of a board. ids: (n,) its points; uv: (n, 2) px."""
 
     name: str
@@ -84,7 +84,7 @@ class AdjustedImages:
         return np.sqrt((self.root**2).sum(axis=1))
 
 
-def adjust_images(board: Board, views: Sequence[View], size: tuple[int, int], given: Intrinsics | None = None) -> AdjustedImages:
+def adjust_images(board: Board, views: Sequence[BoardView], size: tuple[int, int], given: Intrinsics | None = None) -> AdjustedImages:
     """The target's poses in some views, and the intrinsics where none are given. size: (width, height) px of the images.
 
     Raises CalibrationError where the images do not determine the intrinsics.
@@ -94,7 +94,7 @@ def adjust_images(board: Board, views: Sequence[View], size: tuple[int, int], gi
     return problem.solved(start)
 
 
-def _first_intrinsics(board: Board, views: Sequence[View], size: tuple[int, int]) -> Intrinsics:
+def _first_intrinsics(board: Board, views: Sequence[BoardView], size: tuple[int, int]) -> Intrinsics:
     """By the method of Zhang (2000), as OpenCV has it."""
     cv2 = opencv()
     if len(views) < LEAST_IMAGES:
@@ -112,7 +112,7 @@ def _first_intrinsics(board: Board, views: Sequence[View], size: tuple[int, int]
 class _Problem:
     """All points of all views as arrays over corners. ids, image: (n,); uv: (n, 2)."""
 
-    def __init__(self, board: Board, views: Sequence[View], *, estimated: bool):
+    def __init__(self, board: Board, views: Sequence[BoardView], *, estimated: bool):
         self.board, self.count, self.estimated = board, len(views), estimated
         self.image = np.repeat(np.arange(len(views)), [len(v.ids) for v in views])
         self.points = board.points[np.concatenate([v.ids for v in views])]
@@ -136,7 +136,7 @@ class _Problem:
         return self._result(lens, T, sigma, weight)
 
     def _first_poses(self, lens: Intrinsics) -> np.ndarray:
-        """Of the two poses in which a plane looks alike from far, the one that fits better (Collins, Bartoli 2014)."""
+        """The better of the two poses in which a plane looks alike from far (Collins, Bartoli 2014)."""
         cv2, out = opencv(), []
         rays = lens.rays(self.uv)
         for i in range(self.count):
@@ -237,6 +237,6 @@ class _Normal:
         self.right = c - np.einsum("iuk,iuv,iv->k", self.B, self.inverse, self.a) - precision * lens.values[: Jk.shape[2]]
 
     def steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the intrinsics (K,), and of the poses (I, 6)."""
+        """Steps of the intrinsics (K,) and of the poses (I, 6)."""
         step = np.linalg.solve(self.schur, self.right) if len(self.right) else np.zeros(0)
         return step, np.einsum("iuv,iv->iu", self.inverse, self.a - self.B @ step)

@@ -133,9 +133,8 @@ def _colmap(path: Path, rows: list[list[str]]) -> Intrinsics:
     names = ("k1", "k2", "k3", "k4") if fisheye else NAMES[4:12]
     distortion = np.array([v.get(name, 0.0) for name in names])
     # The middle of the first pixel is 0.5 in COLMAP.
-    return _checked(
-        path, v.get("fx", v.get("f", 0.0)), v.get("fy", v.get("f", 0.0)), v["cx"] - 0.5, v["cy"] - 0.5, distortion, fisheye, (width, height)
-    )
+    pinhole = v.get("fx", v.get("f", 0.0)), v.get("fy", v.get("f", 0.0)), v["cx"] - 0.5, v["cy"] - 0.5
+    return _checked(path, pinhole, distortion, fisheye, (width, height))
 
 
 def _kalibr(path: Path, content: dict[str, Any]) -> Intrinsics | None:
@@ -152,7 +151,7 @@ def _kalibr(path: Path, content: dict[str, Any]) -> Intrinsics | None:
             f"{path}: the model {model} with distortion {distorted} is not known; calibrate with pinhole-radtan or pinhole-equi"
         )
     fx, fy, cx, cy = one["intrinsics"]
-    return _checked(path, fx, fy, cx, cy, one.get("distortion_coeffs", ()), distorted in FISHEYE, one.get("resolution"))
+    return _checked(path, (fx, fy, cx, cy), one.get("distortion_coeffs", ()), distorted in FISHEYE, one.get("resolution"))
 
 
 def _matrix_and_coefficients(path: Path, content: dict[str, Any]) -> Intrinsics:
@@ -167,14 +166,15 @@ def _matrix_and_coefficients(path: Path, content: dict[str, Any]) -> Intrinsics:
         )
     model = str(content.get("distortion_model", "plumb_bob"))
     size = [content.get(f"image_{side}", content.get(f"image_{side.capitalize()}", content.get(side))) for side in ("width", "height")]
-    return _checked(path, K[0], K[4], K[2], K[5], distortion, model in FISHEYE, None if None in size else size)
+    return _checked(path, (K[0], K[4], K[2], K[5]), distortion, model in FISHEYE, None if None in size else size)
 
 
-def _checked(path: Path, fx: float, fy: float, cx: float, cy: float, distortion: Any, fisheye: bool, size: Any) -> Intrinsics:
-    focal, centre = np.array([fx, fy], dtype=float), np.array([cx, cy], dtype=float)
+def _checked(path: Path, fx_fy_cx_cy: tuple[float, ...], distortion: Any, fisheye: bool, size: Any) -> Intrinsics:
+    pinhole = np.array(fx_fy_cx_cy, dtype=float)
+    focal, centre = pinhole[:2], pinhole[2:]
     coefficients = np.array(distortion, dtype=float).ravel()
     if not (np.isfinite([*focal, *centre, *coefficients]).all() and (focal > 1).all()):
-        raise ConfigError(f"{path}: a focal length of {fx:g}, {fy:g} px is none; give the matrix in pixels")
+        raise ConfigError(f"{path}: a focal length of {focal[0]:g}, {focal[1]:g} px is none; give the matrix in pixels")
     if len(coefficients) > (4 if fisheye else COEFFICIENTS[-1]):
         raise ConfigError(f"{path}: {len(coefficients)} distortion coefficients are more than the model has")
     count = 4 if fisheye else next(n for n in COEFFICIENTS[1:] if n >= len(coefficients))

@@ -127,7 +127,7 @@ def new(
       mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
       mbcacq data new flange.csv profiles.csv --diameter 30
       mbcacq data new cycles.csv points.csv --diameter 30
-      mbcacq data new images --poses flange.csv --board charuco --size 8x6 --pitch 20 --inner 15 --dictionary 4X4_50
+      mbcacq data new views --poses p.csv --board circles --size 9x7 --pitch 20
       mbcacq calibrate cell-3 --hand-eye-only
     """
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files

@@ -14,7 +14,7 @@ import rendered_boards
 from rendered_boards import BOARDS, DISTORTION, SIZE, K, make, write
 
 import mbcacq
-from mbcacq.camera.adjustment import View, adjust_images
+from mbcacq.camera.adjustment import BoardView, adjust_images
 from mbcacq.camera.board import Board, board_of
 from mbcacq.camera.intrinsics import Intrinsics, read_intrinsics
 from mbcacq.cli.app import app
@@ -129,7 +129,7 @@ def test_intrinsics_of_another_mode_are_doubted(charuco, tmp_path):
 
 
 def test_an_error_of_the_intrinsics_moves_the_targets_as_the_set_says(charuco):
-    views = [View(str(i), *charuco.board.find(image)) for i, image in enumerate(charuco.images)]
+    views = [BoardView(str(i), *charuco.board.find(image)) for i, image in enumerate(charuco.images)]
     found = adjust_images(charuco.board, views, SIZE)
     for k in range(found.root.shape[1]):
         step = 0.5 * found.root[:, k]
@@ -204,7 +204,7 @@ def test_what_images_lack_is_said(charuco, tmp_path):
     with pytest.raises(ConfigError, match="no dictionary '9X9_1'"):
         board_of("charuco", "8x6", 20, 15, "9X9_1")
     with pytest.raises(CalibrationError, match="3 image"):
-        adjust_images(charuco.board, [View("a", *charuco.board.find(charuco.images[0]))] * 3, SIZE)
+        adjust_images(charuco.board, [BoardView("a", *charuco.board.find(charuco.images[0]))] * 3, SIZE)
 
 
 def test_a_set_of_images_comes_back(charuco, tmp_path):

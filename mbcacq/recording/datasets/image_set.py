@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.camera.adjustment import AdjustedImages, View, adjust_images
+from mbcacq.camera.adjustment import AdjustedImages, BoardView, adjust_images
 from mbcacq.camera.board import IMAGES, Board, read_grey
 from mbcacq.camera.intrinsics import Intrinsics, read_intrinsics
 from mbcacq.errors import CalibrationError, ConfigError
@@ -124,9 +124,9 @@ def _rows_of(files: Sequence[Path], poses: Table) -> list[int | None]:
 
 def _found(
     files: Sequence[Path], row_of: Sequence[int | None], board: Board, given: Intrinsics | None
-) -> tuple[list[View], list[int], list[BoardImage], tuple[int, int]]:
+) -> tuple[list[BoardView], list[int], list[BoardImage], tuple[int, int]]:
     """The views in the order of the poses with their rows, the images without the board or without a pose, and the size of the images."""
-    seen: dict[int, View] = {}
+    seen: dict[int, BoardView] = {}
     missing: list[BoardImage] = []
     size = given.size if given else None
     for file, row in zip(files, row_of, strict=True):
@@ -144,7 +144,7 @@ def _found(
         if found is None:
             missing.append(BoardImage(name=file.name, reason="the board was not found"))
         else:
-            seen[row] = View(file.name, *found)
+            seen[row] = BoardView(file.name, *found)
     if len(seen) < LEAST_POSES or size is None:
         raise ConfigError(
             f"{len(seen)} of {len(files)} images show the {board.kind} board of {board.columns} x {board.rows}, at least {LEAST_POSES} are "
@@ -153,7 +153,7 @@ def _found(
     return [seen[row] for row in sorted(seen)], sorted(seen), missing, size
 
 
-def _doubts(board: Board, views: Sequence[View], size: tuple[int, int], adjusted: AdjustedImages) -> list[str]:
+def _doubts(board: Board, views: Sequence[BoardView], size: tuple[int, int], adjusted: AdjustedImages) -> list[str]:
     """A sentence where other intrinsics fit the images clearly better than those that were given."""
     try:
         free = adjust_images(board, views, size)
@@ -171,7 +171,7 @@ def _doubts(board: Board, views: Sequence[View], size: tuple[int, int], adjusted
     ]
 
 
-def _turned(board: Board, views: Sequence[View], T: np.ndarray, poses: Table, options: TableOptions) -> list[View]:
+def _turned(board: Board, views: Sequence[BoardView], T: np.ndarray, poses: Table, options: TableOptions) -> list[BoardView]:
     """The views of a board that looks alike when turned, each turned so that it turned by as much as the flange did between the images."""
     group = None if joint_columns(poses) and options.robot else flange_group(poses)
     if group is None:
@@ -195,7 +195,7 @@ def _turned(board: Board, views: Sequence[View], T: np.ndarray, poses: Table, op
         if best is None or off.mean() < best[0]:
             best = float(off.mean()), chosen
     assert best is not None, "there is a convention"
-    return [View(v.name, np.argsort(order[k])[v.ids] if k else v.ids, v.uv) for v, k in zip(views, best[1], strict=True)]
+    return [BoardView(v.name, np.argsort(order[k])[v.ids] if k else v.ids, v.uv) for v, k in zip(views, best[1], strict=True)]
 
 
 def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -215,7 +215,7 @@ def _table(poses: Table, T: np.ndarray, covariance: np.ndarray) -> Table:
     return replace(poses, columns=columns, taken=set())
 
 
-def _results(adjusted: AdjustedImages, views: Sequence[View]) -> list[BoardImage]:
+def _results(adjusted: AdjustedImages, views: Sequence[BoardView]) -> list[BoardImage]:
     number, out = 0, []
     for i, view in enumerate(views):
         used, gross, rms = int(adjusted.points[i]), int(adjusted.rejected[i]), float(adjusted.rms_px[i])
