@@ -131,7 +131,7 @@ class View(Strict):
 
 class Step(Strict):
     name: str
-    phase: Literal["translation", "orientation", "position", "length", "verification"]
+    phase: Literal["translation", "orientation", "position", "length", "verification", "part"]
     exposures: Whole | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
 
 
@@ -163,7 +163,20 @@ class Taught(Step):
     balls: tuple[Whole, ...] | None = None  # expected ids; default: all in view
 
 
-AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
+class PartView(View):
+    at_mm: Place | None = None  # point of the part to look at, in its frame; default: the middle of its upper side
+
+
+class Scan(Step):
+    """Scan the surface of a part at its stations: every view is one cloud, for `mbcacq merge`."""
+
+    do: Literal["scan"]
+    phase: Literal["part"] = "part"
+    stations: tuple[str | int, ...] = Field(min_length=1)
+    views: tuple[PartView, ...] = Field(min_length=1)
+
+
+AnyStep = Annotated[Translate | Look | Taught | Scan, Field(discriminator="do")]
 
 
 class Obstacle(Strict):
