@@ -12,6 +12,7 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.change import ChangeEvidence, evidence_of_change
 from mbcacq.calibration.change_found import ChangeFound
+from mbcacq.calibration.clock_term import with_clock, with_clock_term
 from mbcacq.calibration.competing_methods import best_on_held_out
 from mbcacq.calibration.contradiction import fault_while_recording, with_contradiction
 from mbcacq.calibration.description import misdescribed
@@ -74,10 +75,11 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return _staged(observations, options)
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
+    options = with_clock_term(obs, options)
     adjusted = _adjusted(obs, options)
     if options.kinematics:
-        return _arm_and_hand_eye(cell_of(with_random_links(adjusted)))
-    return with_length_uncertainty(_hand_eye(cell_of(adjusted)))
+        return with_clock(_arm_and_hand_eye(cell_of(with_random_links(adjusted))))
+    return with_clock(with_length_uncertainty(_hand_eye(cell_of(adjusted))))
 
 
 def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
