@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console, echo
@@ -28,6 +29,8 @@ SHOWN = 10  # pairs of scans, the worst first
     type=click.FloatRange(1e-3, 1e3),
     help="mm: of each voxel the best known point stays [default: the scans' spacing].",
 )
+@click.option("--cad", type=click.Path(path_type=Path), help="Mesh of the part's design in mm (STL, PLY, OBJ, OFF), to compare with.")
+@click.option("--as-placed", is_flag=True, help="With --cad: compare where the plan says that the part stands, without a best fit.")
 @click.option("--surface", is_flag=True, help="Also write the surface through the cloud (STL).")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: merged.ply in RUN].")
 @click.option("--force", is_flag=True, help="Replace files that are already there.")
@@ -37,6 +40,8 @@ def command(
     result: Path | None,
     station: str | None,
     voxel_mm: float | None,
+    cad: Path | None,
+    as_placed: bool,
     surface: bool,
     out: Path | None,
     force: bool,
@@ -49,6 +54,8 @@ def command(
     its scan and its standard uncertainty along the normal (sigma_mm).
 
     Example: mbcacq run plans/part.yaml --dry-run && mbcacq merge latest
+
+    Example: mbcacq merge latest --cad part.stl --surface
     """
     from mbcacq.parts.merge import surface_mesh
     from mbcacq.workflow.load import refuse_existing
@@ -59,7 +66,10 @@ def command(
     for path in (cloud, *((stl,) if surface else ())):
         refuse_existing(path, force, f"{path} exists; give another --out, or --force to replace it")
     with StepProgress() as steps:
-        done = merge_scans(source, cloud, result=result, station=station, voxel_mm=voxel_mm, progress=steps.begin)
+        done = merge_scans(
+            source, cloud, result=result, station=station, voxel_mm=voxel_mm, cad=cad, fit=not as_placed, progress=steps.begin
+        )
+        kept = done.write(cloud)
         if surface:
             steps.begin("fitting the surface")
             surface_mesh(cloud, stl)
@@ -67,9 +77,10 @@ def command(
         echo(json.dumps(done.to_dict() | ({"surface": str(stl)} if surface else {})))
         return
     _show(done)
-    echo(f"cloud: {cloud}")
+    echo(f"cloud: {cloud}; figures: {kept[0]}")
     if surface:
         echo(f"surface: {stl}")
+    say_next("look at it", command_line("view", kept[1]))
 
 
 def _show(done: MergedPart) -> None:
@@ -90,3 +101,5 @@ def _show(done: MergedPart) -> None:
     merged = done.merged
     echo(f"{merged.kept} of {merged.read} points of {merged.scans} scans kept, one in each voxel of {done.voxel_mm:.3g} mm")
     echo(f"standard uncertainty along the normal: {1e3 * merged.sigma_mm:.1f} µm, at most {1e3 * merged.worst_mm:.1f} µm")
+    if done.deviations is not None:
+        echo(done.deviations.sentence)

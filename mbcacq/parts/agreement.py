@@ -60,7 +60,7 @@ class Agreement:
     noise : SmoothNoise
         Of the distance of two scans, as estimated from their overlaps.
     scatter_mm : float
-        Of a point about the surface.
+        Of a point about the surface, where that is smooth.
     """
 
     names: tuple[str, ...]
@@ -135,7 +135,8 @@ def agreement(scans: Sequence[tuple[PartScan, Surface]], placements: Sequence[Pl
     noise = smooth_noise([cells for _, _, cells, *_ in near], options)
     found = tuple(_pair(placed[i], placed[j], cells, base, noise, placements, options) for i, j, cells, base in near)
     used = {pose for pair in found for pose in pair.poses}
-    scatter = float(np.median(np.concatenate([pair.step.cells.scatter for pair in found])))
+    # Where the part is smooth, the scatter is the scanner's own.
+    scatter = float(np.quantile(np.concatenate([pair.step.cells.scatter for pair in found]), 0.25))
     alone = tuple(one.scan.number for one in placed if one.scan.number not in used)
     return Agreement(tuple(p.name for p in placements), found, noise, scatter, alone)
 

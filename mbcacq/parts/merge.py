@@ -13,15 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
+from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import replacing
+from mbcacq.files.ply_header import read_header
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
-from mbcacq.parts.placement import Placement
+from mbcacq.parts.placement import CommonMotion, Placement
 from mbcacq.parts.scans import PartScan, Scans, Surface, surface_of
 from mbcacq.spheres.ply import ply_header
 
-# A point of the merged cloud. sigma_mm: standard uncertainty along its normal, by the cell, the joints and the scanner. scan: of its pose.
-POINT = np.dtype([(n, "<f4") for n in ("x", "y", "z", "nx", "ny", "nz", "sigma_mm")] + [("scan", "<u4")])
+# A point of the merged cloud. sigma_mm, sigma_base_mm: standard uncertainty along its normal, by the cell, the joints and the scanner,
+# within the part and in the base frame. scan: number of its pose.
+POINT = np.dtype([(n, "<f4") for n in ("x", "y", "z", "nx", "ny", "nz", "sigma_mm", "sigma_base_mm")] + [("scan", "<u4")])
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Merged:
 def merge(
     scans: Scans,
     placement: Placement,
+    common: CommonMotion,
     noise_mm: tuple[float, float],
     voxel_mm: float,
     out: Path,
@@ -52,7 +56,7 @@ def merge(
         blocks = _Blocks(Path(folder), voxel_mm, options)
         count = 0
         for scan in scans():
-            blocks.add(_points(scan, surface_of(scan), placement, noise_mm))
+            blocks.add(_points(scan, surface_of(scan), placement, common, noise_mm))
             count += 1
         kept, sigma = 0, []
         body = Path(folder) / "body"
@@ -70,15 +74,25 @@ def merge(
     return Merged(blocks.read, kept, count, float(np.median(middle)), float(worst.max()))
 
 
-def _points(scan: PartScan, surface: Surface, placement: Placement, noise_mm: tuple[float, float]) -> np.ndarray:
+def merged_points(path: Path) -> np.ndarray:
+    """The points of a cloud that ``merge`` wrote, as ``POINT``, read from the disk as they are used. Raises ConfigError for another."""
+    header = read_header(path)
+    if [p.name for p in header.elements[0].properties] != list(POINT.names or ()):
+        raise ConfigError(f"{path} is no cloud that mbcacq merge wrote; merge the scans again")
+    return np.memmap(path, POINT, "r", header.size, (header.elements[0].count,))
+
+
+def _points(scan: PartScan, surface: Surface, placement: Placement, common: CommonMotion, noise_mm: tuple[float, float]) -> np.ndarray:
     """The points of a scan as ``POINT``."""
     single, together = noise_mm
     out = np.empty(len(surface.points), POINT)
     T = placement.cell.frames(scan.q[None])[0, -1] @ placement.cell.state.T_flange_scanner
     normals = surface.normals @ T[:3, :3].T
-    known = placement.covariance_over(scan.q, surface.points).variance_along(surface.points, normals)
-    variance = known + (single / surface.facing) ** 2 + together**2
-    out["sigma_mm"], out["scan"] = np.sqrt(variance), scan.number
+    seen = (single / surface.facing) ** 2 + together**2
+    for name, moved in (("sigma_mm", common), ("sigma_base_mm", None)):
+        known = placement.covariance_over(scan.q, surface.points, moved).variance_along(surface.points, normals)
+        out[name] = np.sqrt(known + seen)
+    out["scan"] = scan.number
     for name, values in zip(POINT.names or (), [*placement.to_base(scan.q, surface.points).T, *normals.T], strict=False):
         out[name] = values
     return out

@@ -20,6 +20,9 @@ class PartOptions:
     captured: share of a cell by which scans may be apart for their step to be that of one linearisation.
     steps: linearisations, at most.
     block_points: merged at a time; each takes about 100 bytes.
+    cad_reach_mm: points farther from the CAD model are no points of the part.
+    fit_capture_mm: by so much the part may stand off its planned place for the best fit to find it.
+    fit_rounds: linearisations of the best fit, at most.
     """
 
     points_per_scan: int = 20_000
@@ -35,3 +38,6 @@ class PartOptions:
     captured: float = 0.1
     steps: int = 4
     block_points: int = 4_000_000
+    cad_reach_mm: float = 5.0
+    fit_capture_mm: float = 30.0
+    fit_rounds: int = 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,17 +47,37 @@ class Placement:
         joints = np.hstack([twists[:, :3] + np.cross(twists[:, 3:], centre), twists[:, 3:]]).T
         return np.linalg.lstsq(D, moved.reshape(-1, moved.shape[2]), rcond=None)[0], joints
 
-    def covariance_over(self, q: np.ndarray, xyz: np.ndarray) -> CovarianceField:
-        """Covariance of the places of a scan's points xyz (N, 3), scanner frame, by parameters and joints."""
+    def covariance_over(self, q: np.ndarray, xyz: np.ndarray, common: CommonMotion | None = None) -> CovarianceField:
+        """Covariance of the places of a scan's points xyz (N, 3), scanner frame, by parameters and joints.
+
+        Without ``common`` in the base frame; with it, relative to all scans of the part together.
+        """
         low, high = xyz.min(axis=0).astype(float), xyz.max(axis=0).astype(float)
         axes = [np.linspace(a, max(b, a + 1.0), GRID) for a, b in zip(low, high, strict=True)]
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        known = self.cell.point_covariance(np.broadcast_to(q, (len(nodes), len(q))), nodes)
+        placed, columns = self.to_base(q, nodes), self.cell.point_columns(np.broadcast_to(q, (len(nodes), len(q))), nodes)
+        if common is not None:
+            columns = columns - rigid_columns(placed - common.centre) @ common.columns
+        known = columns @ self.cell.covariance @ np.swapaxes(columns, 1, 2)
         chain = self.cell.state.chain
         twists = chain.joint_twists(chain.frames(q[None]))[0] * self.cell.noise.joint[: chain.n, None]
-        moved = twists[None, :, :3] + np.cross(twists[None, :, 3:], self.to_base(q, nodes)[:, None])  # (nodes, n, 3)
+        moved = twists[None, :, :3] + np.cross(twists[None, :, 3:], placed[:, None])  # (nodes, n, 3)
         total = known + np.einsum("knc,knd->kcd", moved, moved)
         return CovarianceField(axes, np.stack([total[:, i, j] for i, j in _PAIRS], axis=1).reshape(GRID, GRID, GRID, 6))
+
+
+@dataclass(frozen=True)
+class CommonMotion:
+    """How the cell's parameters move all scans of a part together: (6, g) about ``centre`` (3,) mm, base frame."""
+
+    columns: np.ndarray
+    centre: np.ndarray
+
+    @classmethod
+    def of(cls, placement: Placement, scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMotion:
+        """The mean over scans, each given by its joints (n,) and some points (k, 3) in the scanner frame."""
+        centre = np.mean([placement.to_base(q, xyz).mean(axis=0) for q, xyz in scans], axis=0)
+        return cls(np.mean([placement.twist_columns(q, xyz, centre)[0] for q, xyz in scans], axis=0), centre)
 
 
 @dataclass(frozen=True)

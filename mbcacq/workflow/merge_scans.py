@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +12,19 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
+from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.observations import Observations
 from mbcacq.parts.agreement import Agreement, agreement
+from mbcacq.parts.cad import Deviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
-from mbcacq.parts.placement import placements
+from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, Scans, Surface, surface_of, thinned
 from mbcacq.workflow.load import as_cell, is_run_folder
 
 VOXELS_PER_SPACING = 1.0
+DRAWN = 3000  # points of a scan
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class MergedPart:
     agreement: Agreement
     voxel_mm: float
     simulated: bool
+    scans: dict[str, list[np.ndarray]]  # name of a placement -> some points of each scan, mm, base frame
+    deviations: Deviations | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -45,7 +51,27 @@ class MergedPart:
             "points": {"read": self.merged.read, "kept": self.merged.kept},
             "sigma_mm": {"median": self.merged.sigma_mm, "largest": self.merged.worst_mm},
             "agreement": self.agreement.to_dict(),
+            **({} if self.deviations is None else {"cad": self.deviations.to_dict()}),
         }
+
+    def write(self, stem: Path) -> list[Path]:
+        """Write STEM.json, all figures, and STEM.rrd, all of it for the viewer. Raises RecordingError."""
+        from mbcacq.files.atomic_write import write_file
+        from mbcacq.recording.rrd.part_recording import PartDrawn, write_part
+
+        pairs, cad = self.agreement.pairs, self.deviations
+        best = self.agreement.names[-1]
+        drawn = PartDrawn(
+            text="\n\n".join([self.agreement.sentence, *([] if cad is None else [cad.sentence])]),
+            scans={"before": self.scans[self.agreement.names[0]], "after": self.scans[best]},
+            centres=np.array([pair.step.centre for pair in pairs]),
+            steps=np.array([pair.step.twist[:3] for pair in pairs]),
+            share=np.array([pair.by_placement[best] / pair.expected_mm for pair in pairs]),
+            deviations=None if cad is None else cad.drawn,
+            U_mm=0.0 if cad is None else cad.U_mm,
+        )
+        written = write_part(stem.with_suffix(".rrd"), drawn)
+        return [write_file(stem.with_suffix(".json"), json.dumps(self.to_dict())), written]
 
 
 def merge_scans(
@@ -55,7 +81,8 @@ def merge_scans(
     result: CalibratedCell | dict[str, Any] | Path | str | None = None,
     station: str | None = None,
     voxel_mm: float | None = None,
-    options: PartOptions | None = None,
+    cad: Path | str | None = None,
+    fit: bool = True,
     progress: Callable[[str], None] = lambda sentence: None,
 ) -> MergedPart:
     """Place all scans of a part by a calibrated cell, compare them where they overlap, and write them as one cloud.
@@ -65,14 +92,18 @@ def merge_scans(
     source
         Run folder, or observation set with ``scans/POSE.ply``.
     out
-        The PLY to write: base frame, mm; with normals, ``sigma_mm`` (standard uncertainty along the normal) and ``scan`` (number of the
-        pose).
+        The PLY to write: base frame, mm; with normals, ``sigma_mm`` and ``sigma_base_mm`` (standard uncertainty along the normal, within
+        the part and in the base frame) and ``scan`` (number of the pose).
     result
         The calibrated cell; default: that of the run.
     station
         Where the part stood; needed where parts stood at several.
     voxel_mm
         In each voxel of this edge the best known point stays; default: the spacing of a scan's points.
+    cad
+        Mesh of the part's design in mm, with which the cloud is compared.
+    fit
+        Compare at the best fit; else where the plan says that the part stands.
 
     Raises
     ------
@@ -81,7 +112,7 @@ def merge_scans(
     """
     from mbcacq.recording import load_observations
 
-    o = options or PartOptions()
+    o = PartOptions()
     source, out = Path(source), Path(out)
     cell = as_cell(source if result is None else result)
     observations = load_observations(source)
@@ -97,8 +128,33 @@ def merge_scans(
     voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
-    merged = merge(scans, ways[-1], noise, voxel, out, o, observations.cell.simulated)
-    return MergedPart(station, out, merged, compared, voxel, observations.cell.simulated)
+    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen[0]])
+    merged = merge(scans, ways[-1], common, noise, voxel, out, o, observations.cell.simulated)
+    some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen[0]]
+    drawn = {way.name: [way.to_base(q, points) for q, points in some] for way in (ways[0], ways[-1])}
+    deviations = None
+    if cad is not None:
+        progress("comparing with the design")
+        deviations = compare_with_cad(out, read_mesh(cad), _planned_place(source, station), o, fit=fit)
+    return MergedPart(station, out, merged, compared, voxel, observations.cell.simulated, drawn, deviations)
+
+
+def _planned_place(source: Path, station: str) -> np.ndarray:
+    """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
+    from mbcacq.model import yaml12
+    from mbcacq.plan.schema import StationPlace
+    from mbcacq.recording import load_observations
+
+    text = source / "plan.yaml"
+    if text.is_file():
+        places = yaml12.load(text.read_text(encoding="utf-8")).get("stations", ())
+        found = next((StationPlace.model_validate(one) for one in places if str(one.get("id")) == station), None)
+        if found is not None:
+            return found.pose_in_base.transform()
+    placed = load_observations(source).cell.station(station).T_base_station
+    if placed is None:
+        raise ConfigError(f"nothing says where station '{station}' is; give its pose_in_base in cell.yaml, roughly")
+    return placed
 
 
 def _station(observations: Observations, wanted: str | None) -> str:
