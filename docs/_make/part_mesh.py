@@ -35,4 +35,4 @@ if __name__ == "__main__":
     vertices, triangles = part()
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(triangles))
     mesh.compute_triangle_normals()
-    o3d.io.write_triangle_mesh(str(Path(__file__).parents[2] / "plans/artefacts/freeform.stl"), mesh)
+    o3d.io.write_triangle_mesh(str(Path(__file__).parents[2] / "plans/parts/freeform.stl"), mesh)

@@ -16,7 +16,7 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.blueprint import collapsed
 from mbcacq.recording.rrd.drawable import drawn_text
 from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
-from mbcacq.recording.rrd.scan_colouring import diverging
+from mbcacq.recording.rrd.scan_colouring import GREY, diverging
 
 AS_EXPECTED, WORST = 1.0, 3.0  # step over what is expected of it: ends of the colours
 GOLDEN = 0.61803398875  # of the circle of hues between neighbouring scans
@@ -52,9 +52,7 @@ class PartDrawn:
 def write_part(path: Path | str, drawn: PartDrawn) -> Path:
     """Write a .rrd of a part alone. Raises RecordingError if it cannot be written."""
     views: list[rrb.View] = [rrb.Spatial3DView(name=f"scans, {name}", origin=f"part/{name}") for name in drawn.scans]
-    views.append(
-        rrb.Spatial3DView(name="steps between scans, 300 times", origin="part", contents=["part/steps", f"part/{list(drawn.scans)[-1]}/**"])
-    )
+    views.append(rrb.Spatial3DView(name="steps between scans, 300 times", origin="part/steps"))
     if drawn.deviations is not None:
         views.append(rrb.Spatial3DView(name="deviations from CAD", origin="part/cad"))
     shown = rrb.Horizontal(rrb.Grid(*views), rrb.TextDocumentView(name="agreement", origin="part/text"), column_shares=[4, 1])
@@ -70,18 +68,22 @@ def write_part(path: Path | str, drawn: PartDrawn) -> Path:
 
 
 def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
-    stream.log("part/text", drawn_text(drawn.text), static=True)
+    stream.set_time(layout.TIME, duration=0.0)  # a viewer needs a time, even of what does not change
+    stream.log("part/text", drawn_text(drawn.text))
     for name, clouds in drawn.scans.items():
         for number, points in enumerate(clouds):
             colour = np.rint(255 * _hue((number * GOLDEN) % 1.0)).astype(np.uint8)
             cloud = rr.Points3D(points.astype(np.float32), colors=[colour], radii=rr.Radius.ui_points(1.2))
-            stream.log(f"part/{name}/{number}", cloud, static=True)
+            stream.log(f"part/{name}/{number}", cloud)
+    whole = np.concatenate(list(drawn.scans.values())[-1])[::10].astype(np.float32)
+    stream.log("part/steps/surface", rr.Points3D(whole, colors=[GREY], radii=rr.Radius.ui_points(0.8)))
     colours = diverging((drawn.share - AS_EXPECTED) / (WORST - AS_EXPECTED))
-    stream.log("part/steps", rr.Arrows3D(origins=drawn.centres, vectors=300 * drawn.steps, colors=colours), static=True)
+    arrows = rr.Arrows3D(origins=drawn.centres, vectors=300 * drawn.steps, colors=colours, radii=rr.Radius.ui_points(1.5))
+    stream.log("part/steps/arrows", arrows)
     if drawn.deviations is not None:
         points, along = drawn.deviations[:, :3].astype(np.float32), drawn.deviations[:, 3]
         cloud = rr.Points3D(points, colors=diverging(along / (2 * drawn.U_mm)), radii=rr.Radius.ui_points(1.5))
-        stream.log("part/cad", cloud, static=True)
+        stream.log("part/cad", cloud)
 
 
 def _hue(share: float) -> np.ndarray:
