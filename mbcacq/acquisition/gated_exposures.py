@@ -96,7 +96,8 @@ class GatedExposures:
             self._report_scan(pose, exposure, scan)
             if not len(scan.points):
                 return [], "its scan shows no point of the part"
-        return [mean_centres([])] * pose.exposures, ""
+        nothing: list[Centres] = [mean_centres([])] * pose.exposures
+        return nothing, ""
 
     def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""
