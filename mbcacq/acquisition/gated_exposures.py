@@ -96,7 +96,8 @@ class GatedExposures:
             self._report_scan(pose, exposure, scan)
             if not len(scan.points):
                 return [], "its scan shows no point of the part"
-        return [mean_centres([]) for _ in range(pose.exposures)], ""
+        nothing: Centres = mean_centres([])
+        return [nothing] * pose.exposures, ""
 
     def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""
