@@ -23,6 +23,7 @@ from mbcacq.devices.protocols import Scan
 from mbcacq.model.cell import Artefact
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.field_of_view import margin
+from mbcacq.spheres.found import FoundSpheres
 
 
 class BallFinder(Protocol):
@@ -96,8 +97,7 @@ class GatedExposures:
             self._report_scan(pose, exposure, scan)
             if not len(scan.points):
                 return [], "its scan shows no point of the part"
-        nothing: Centres = mean_centres([])
-        return [nothing] * pose.exposures, ""
+        return [FoundSpheres.nothing() for _ in range(pose.exposures)], ""
 
     def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""

@@ -12,9 +12,9 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import Overlap, cells_of, overlap
-from mbcacq.parts.placement import Placement
-from mbcacq.parts.scans import PartScan, Surface
-from mbcacq.parts.step import SmoothNoise, Step, rigid_step, smooth_noise
+from mbcacq.parts.placement import CellPlacement
+from mbcacq.parts.scans import PartScan, ScanSurface
+from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step, smooth_noise
 
 CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
 
@@ -28,7 +28,7 @@ class PairOfScans:
     """
 
     poses: tuple[int, int]
-    step: Step
+    step: RigidStep
     by_placement: dict[str, float]
     expected_mm: float
     normalised: float
@@ -51,16 +51,16 @@ class PairOfScans:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of all pairs that overlap enough.
+    """The agreement of all pairs of scans that overlap enough.
 
     Attributes
     ----------
     names : tuple[str, ...]
-        Of the placements, the best last.
+        The placements, the best last.
     noise : SmoothNoise
-        Of the distance of two scans, as estimated from their overlaps.
+        The smooth noise of the distance of two scans, estimated from their overlaps.
     scatter_mm : float
-        Of a point about the surface, where that is smooth.
+        Scatter of a point about the surface, where that is smooth.
     """
 
     names: tuple[str, ...]
@@ -112,7 +112,7 @@ class _Placed:
     """A thinned scan: with its surface in the scanner frame, and its points and normals in the base frame by the best placement."""
 
     scan: PartScan
-    surface: Surface
+    surface: ScanSurface
     points: np.ndarray
     normals: np.ndarray
 
@@ -122,7 +122,7 @@ class _Placed:
         return se3.apply(T, self.points - centre) + centre, self.normals @ T[:3, :3].T
 
 
-def agreement(scans: Sequence[tuple[PartScan, Surface]], placements: Sequence[Placement], options: PartOptions) -> Agreement:
+def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
     """Compare all scans that overlap. scans: thinned, with their surfaces. Raises ConfigError where no two overlap enough."""
     best = placements[-1]
     placed = [_placed(scan, surface, best) for scan, surface in scans]
@@ -141,7 +141,7 @@ def agreement(scans: Sequence[tuple[PartScan, Surface]], placements: Sequence[Pl
     return Agreement(tuple(p.name for p in placements), found, noise, scatter, alone)
 
 
-def _placed(scan: PartScan, surface: Surface, best: Placement) -> _Placed:
+def _placed(scan: PartScan, surface: ScanSurface, best: CellPlacement) -> _Placed:
     points = best.to_base(scan.q, surface.points)
     rotation = (best.cell.frames(scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner)[:3, :3]
     return _Placed(scan, surface, points, surface.normals @ rotation.T)
@@ -195,7 +195,7 @@ def _pair(
     cells: Overlap,
     base: tuple[np.ndarray, np.ndarray],
     noise: SmoothNoise,
-    placements: Sequence[Placement],
+    placements: Sequence[CellPlacement],
     options: PartOptions,
 ) -> PairOfScans:
     step = rigid_step(cells, noise, options)
@@ -216,7 +216,7 @@ def _pair(
     return PairOfScans(poses, step, by_placement, step.expected_mm(covariance), step.normalised(covariance))
 
 
-def _corners(one: _Placed, cells: np.ndarray, best: Placement) -> np.ndarray:
+def _corners(one: _Placed, cells: np.ndarray, best: CellPlacement) -> np.ndarray:
     """(8, 3) mm corners of the overlap's box in the scanner frame of a scan."""
     T = best.cell.frames(one.scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner
     seen = se3.apply(se3.inverse(T), cells)
@@ -226,7 +226,7 @@ def _corners(one: _Placed, cells: np.ndarray, best: Placement) -> np.ndarray:
     return low + corner * (high - low)
 
 
-def _nearest_motion(placement: Placement, best: Placement, q: np.ndarray, xyz: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _nearest_motion(placement: CellPlacement, best: CellPlacement, q: np.ndarray, xyz: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Twist (6,) about a centre that is nearest to what a placement does to points, beside the best one."""
     if placement is best:
         return np.zeros(6)

@@ -21,7 +21,7 @@ MOST_DRAWN = 60_000
 
 
 @dataclass(frozen=True)
-class Deviations:
+class CadDeviations:
     """Signed deviations from the model, outwards positive, over the points that lie within reach of it.
 
     Attributes
@@ -76,7 +76,7 @@ class Deviations:
         }
 
 
-def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: PartOptions, *, fit: bool = True) -> Deviations:
+def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: PartOptions, *, fit: bool = True) -> CadDeviations:
     """Compare a merged cloud with a mesh in mm.
 
     T_base_cad: (4, 4) where the model lies roughly, or where it does lie if ``fit`` is False; then uncertainties are those in the base
@@ -98,7 +98,7 @@ def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: P
     d, s = np.concatenate(deviation), np.concatenate(sigma)
     if not len(d):
         raise ConfigError(f"no point of {cloud} lies within {options.cad_reach_mm:g} mm of the model; is its frame that of the plan?")
-    return Deviations(
+    return CadDeviations(
         T_base_cad=T,
         fitted=fit,
         points=len(d),

@@ -18,8 +18,8 @@ from mbcacq.files.atomic_write import replacing
 from mbcacq.files.ply_header import read_header
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
-from mbcacq.parts.placement import CommonMotion, Placement
-from mbcacq.parts.scans import PartScan, Scans, Surface, surface_of
+from mbcacq.parts.placement import CellPlacement, CommonMotion
+from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of
 from mbcacq.spheres.ply import ply_header
 
 # A point of the merged cloud. sigma_mm, sigma_base_mm: standard uncertainty along its normal, by the cell, the joints and the scanner,
@@ -40,7 +40,7 @@ class Merged:
 
 def merge(
     scans: Scans,
-    placement: Placement,
+    placement: CellPlacement,
     common: CommonMotion,
     noise_mm: tuple[float, float],
     voxel_mm: float,
@@ -82,7 +82,9 @@ def merged_points(path: Path) -> np.ndarray:
     return np.memmap(path, POINT, "r", header.size, (header.elements[0].count,))
 
 
-def _points(scan: PartScan, surface: Surface, placement: Placement, common: CommonMotion, noise_mm: tuple[float, float]) -> np.ndarray:
+def _points(
+    scan: PartScan, surface: ScanSurface, placement: CellPlacement, common: CommonMotion, noise_mm: tuple[float, float]
+) -> np.ndarray:
     """The points of a scan as ``POINT``."""
     single, together = noise_mm
     out = np.empty(len(surface.points), POINT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PartOptions:
     """points_per_scan: thinned to, for the steps; more hardly lower their uncertainty, which the smooth noise of a scan limits.
     points_in_memory: of all scans together, thinned.

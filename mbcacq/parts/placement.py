@@ -16,7 +16,7 @@ _PAIRS = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]  # elements of a symme
 
 
 @dataclass(frozen=True)
-class Placement:
+class CellPlacement:
     """A way to place scans: name, and the cell that does it."""
 
     name: str
@@ -74,7 +74,7 @@ class CommonMotion:
     centre: np.ndarray
 
     @classmethod
-    def of(cls, placement: Placement, scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMotion:
+    def of(cls, placement: CellPlacement, scans: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMotion:
         """The mean over scans, each given by its joints (n,) and some points (k, 3) in the scanner frame."""
         centre = np.mean([placement.to_base(q, xyz).mean(axis=0) for q, xyz in scans], axis=0)
         return cls(np.mean([placement.twist_columns(q, xyz, centre)[0] for q, xyz in scans], axis=0), centre)
@@ -97,11 +97,11 @@ class CovarianceField:
         return np.maximum(np.einsum("nk,nk->n", found, weights), 0.0)
 
 
-def placements(cell: CalibratedCell) -> list[Placement]:
+def placements(cell: CalibratedCell) -> list[CellPlacement]:
     """The ways that are compared: before the calibration, by geometry, and with effects where the cell has some. The last is the best."""
     nothing = replace(cell, state=cell.preliminary, effects=None)
-    out = [Placement("before", nothing), Placement("geometry", replace(cell, effects=None))]
-    return [*out, Placement("effects", cell)] if cell.effects else out
+    out = [CellPlacement("before", nothing), CellPlacement("geometry", replace(cell, effects=None))]
+    return [*out, CellPlacement("effects", cell)] if cell.effects else out
 
 
 def rigid_columns(arms: np.ndarray) -> np.ndarray:

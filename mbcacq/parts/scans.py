@@ -21,7 +21,7 @@ class PartScan:
     Attributes
     ----------
     number : int
-        Of its pose in the recording.
+        Number of its pose in the recording.
     q : ndarray
         (n,) rad, joint angles as the controller reports them.
     points : ndarray
@@ -37,7 +37,7 @@ Scans = Callable[[], Iterator[PartScan]]  # reads them anew, one at a time: all 
 
 
 @dataclass(frozen=True)
-class Surface:
+class ScanSurface:
     """Points (N, 3) mm of a scan in its scanner's frame, with unit normals (N, 3) towards the scanner."""
 
     points: np.ndarray
@@ -49,7 +49,7 @@ class Surface:
         return np.clip(self.normals[:, 2], 0.05, 1.0)
 
 
-def surface_of(scan: PartScan) -> Surface:
+def surface_of(scan: PartScan) -> ScanSurface:
     """The scan with its normals. Raises ConfigError for a scan of too few points."""
     if len(scan.points) < FEWEST_POINTS:
         raise ConfigError(f"the scan of pose {scan.number} has {len(scan.points)} points; leave that pose out, or scan it again")
@@ -57,10 +57,10 @@ def surface_of(scan: PartScan) -> Surface:
     cloud = open3d().geometry.PointCloud(open3d().utility.Vector3dVector(points))
     cloud.estimate_normals(open3d().geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     normals = np.asarray(cloud.normals)
-    return Surface(points, normals * np.where(normals[:, 2:] < 0, -1.0, 1.0))
+    return ScanSurface(points, normals * np.where(normals[:, 2:] < 0, -1.0, 1.0))
 
 
-def thinned(surface: Surface, most: int) -> Surface:
+def thinned(surface: ScanSurface, most: int) -> ScanSurface:
     """At most about ``most`` of its points, spread evenly over their order."""
     every = max(1, -(-len(surface.points) // most))
-    return Surface(surface.points[::every], surface.normals[::every])
+    return ScanSurface(surface.points[::every], surface.normals[::every])

@@ -22,7 +22,7 @@ OVERLAPS_FOR_NOISE = 40
 
 @dataclass(frozen=True)
 class SmoothNoise:
-    """Of the distance of two scans: sigma_mm, and the length_mm over which it varies."""
+    """The smooth noise of the distance of two scans: sigma_mm, and the length_mm over which it varies."""
 
     sigma_mm: float
     length_mm: float
@@ -34,7 +34,7 @@ class SmoothNoise:
 
 
 @dataclass(frozen=True)
-class Step:
+class RigidStep:
     """How the first scan of a pair stands to the second.
 
     Attributes
@@ -95,7 +95,7 @@ class Step:
         return [_in_words(v / self.scaled, self.centre) for v in np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :].T]
 
 
-def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Step:
+def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
     """The step of an overlap with at least ``options.cells[0]`` cells."""
     everything = len(cells)
     if everything > options.cells[1]:
@@ -112,7 +112,7 @@ def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Step
     return replace(step, left_out=count - len(step.cells))
 
 
-def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Step:
+def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
     centre = cells.point.mean(axis=0)
     radius = float(np.sqrt(np.mean(np.sum((cells.point - centre) ** 2, axis=1))))
     scale = np.repeat([1.0, radius], 3)
@@ -122,7 +122,8 @@ def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Step:
     whitened = np.linalg.cholesky(noise.covariance(cells))
     A, r = (np.linalg.solve(whitened, side) for side in (J @ determined, cells.distance))
     covariance, D = np.linalg.inv(A.T @ A), determined / scale[:, None]
-    return Step(D @ covariance @ (A.T @ r), D @ covariance @ D.T, centre, determined, radius, cells, 0)
+    twist, covariance = D @ covariance @ (A.T @ r), D @ covariance @ D.T
+    return RigidStep(twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=radius, cells=cells, left_out=0)
 
 
 def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoise:

@@ -15,7 +15,7 @@ from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
-from mbcacq.plan.schema import Look, Plan, Scan, Taught
+from mbcacq.plan.schema import Look, Plan, ScanPart, Taught
 
 PLAN_FORMAT = "mbcacq-plan/1"
 SMALLEST_PART_MM = 5.0
@@ -200,13 +200,13 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
             raise file.error((*where, "name"), f"step '{step.name}' exists already; give each step a name of its own")
         names.add(step.name)
         wanted = (
-            {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look | Scan) else {("station",): step.station}
+            {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look | ScanPart) else {("station",): step.station}
         )
         for place, station in wanted.items():
             if str(station) not in artefact_of:
                 sentence = f"step '{step.name}' names a station '{station}' that the plan does not have (it has {', '.join(artefact_of)})"
                 raise file.error((*where, *place), f"{sentence}; name one of these, or add the station")
-            if artefact_of[str(station)].is_part != isinstance(step, Scan):
+            if artefact_of[str(station)].is_part != isinstance(step, ScanPart):
                 what = (
                     "is a part, which only 'do: scan' takes"
                     if artefact_of[str(station)].is_part

@@ -170,7 +170,7 @@ class PartView(View):
     at_mm: Place | None = None  # point of the part to look at, in its frame; default: the middle of its upper side
 
 
-class Scan(Step):
+class ScanPart(Step):
     """Scan the surface of a part at its stations: every view is one cloud, for `mbcacq merge`."""
 
     do: Literal["scan"]
@@ -179,7 +179,7 @@ class Scan(Step):
     views: tuple[PartView, ...] = Field(min_length=1)
 
 
-AnyStep = Annotated[Translate | Look | Taught | Scan, Field(discriminator="do")]
+AnyStep = Annotated[Translate | Look | Taught | ScanPart, Field(discriminator="do")]
 
 
 class Obstacle(Strict):

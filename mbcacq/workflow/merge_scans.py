@@ -16,11 +16,11 @@ from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.observations import Observations
 from mbcacq.parts.agreement import Agreement, agreement
-from mbcacq.parts.cad import Deviations, compare_with_cad
+from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
-from mbcacq.parts.scans import PartScan, Scans, Surface, surface_of, thinned
+from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of, thinned
 from mbcacq.workflow.load import as_cell, is_run_folder
 
 VOXELS_PER_SPACING = 1.0
@@ -38,7 +38,7 @@ class MergedPart:
     voxel_mm: float
     simulated: bool
     scans: dict[str, list[np.ndarray]]  # name of a placement -> some points of each scan, mm, base frame
-    deviations: Deviations | None = None
+    deviations: CadDeviations | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -129,14 +129,23 @@ def merge_scans(
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
     common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen[0]])
-    merged = merge(scans, ways[-1], common, noise, voxel, out, o, observations.cell.simulated)
+    merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
     some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen[0]]
     drawn = {way.name: [way.to_base(q, points) for q, points in some] for way in (ways[0], ways[-1])}
     deviations = None
     if cad is not None:
         progress("comparing with the design")
         deviations = compare_with_cad(out, read_mesh(cad), _planned_place(source, station), o, fit=fit)
-    return MergedPart(station, out, merged, compared, voxel, observations.cell.simulated, drawn, deviations)
+    return MergedPart(
+        station=station,
+        cloud=out,
+        merged=merged,
+        agreement=compared,
+        voxel_mm=voxel,
+        simulated=observations.cell.simulated,
+        scans=drawn,
+        deviations=deviations,
+    )
 
 
 def _planned_place(source: Path, station: str) -> np.ndarray:
@@ -172,7 +181,7 @@ def _station(observations: Observations, wanted: str | None) -> str:
     return parts[0]
 
 
-def _thinned(scans: Scans, most: int, options: PartOptions) -> tuple[list[tuple[PartScan, Surface]], float]:
+def _thinned(scans: Scans, most: int, options: PartOptions) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
     """All scans with at most so many points each; and the median spacing of their points in mm."""
     kept, spacing = [], []
     for scan in scans():

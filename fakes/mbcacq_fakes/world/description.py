@@ -93,7 +93,7 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
                 float(a.uncertainty_mm),
                 float(a.reference_temperature_C),
                 1.5 if a.expansion_ppm_per_K is None else float(a.expansion_ppm_per_K),
-                _surface(a),
+                triangles=_surface(a),
             )
             for a in cell.artefacts
         ),
