@@ -32,6 +32,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
+from mbcacq.effects.effect import label_of
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.quantities import K
@@ -149,7 +150,8 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     """The verdict on a fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell`` if the evidence
     is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared. Beside something
-    unmodelled it is ``partly_explained`` if names explain a substantial share of the mismatch (``names_explain``), else ``unexplained``.
+    unmodelled it is ``partly_explained`` if names that all these sets share explain a substantial share of the mismatch
+    (``names_explain``), else ``unexplained`` or ``cannot_tell``.
     Joints that repeat worse than their data sheet has it are a mismatch of their own, and a name that a general function predicts better
     than is no explanation: the verdict is then neither ``none`` nor ``explained``.
 
@@ -160,11 +162,17 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
         return "cannot_tell"
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided or noisy else "none"
-    if fit.significant and alternatives_to(fit, reported_hypothesis(fit)):
+    reported = reported_hypothesis(fit)
+    others = alternatives_to(fit, reported) if fit.significant else []
+    open_ones = frozenset[str]().union(*((reported.labels - other.labels) | changed for other, changed in others))
+    shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
+    if full.random and names_explain(shared):
+        return "partly_explained"
+    if others:
         return "cannot_tell"
     if full.random:
-        return "partly_explained" if names_explain(effects) else "unexplained"
-    return "partly_explained" if noisy or better_in_general(fit, reported_hypothesis(fit)) else "explained"
+        return "unexplained"
+    return "partly_explained" if noisy or better_in_general(fit, reported) else "explained"
 
 
 def names_explain(effects: Sequence[EffectFound]) -> bool:
