@@ -5,9 +5,6 @@ Every held-out figure counts every centre that was held out. A robust figure may
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -22,40 +19,6 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 GROSS = 10.0  # medians, beyond which a centre is gross: no model that is compared comes nearer to it
-
-
-@dataclass(frozen=True)
-class HeldOutRms:
-    """Distances of held-out centres from their prediction, in figures.
-
-    Attributes
-    ----------
-    rms_mm : float
-        3D rms of every centre; not a number where fits to the held-out centres took all their freedom.
-    median_mm, max_mm : float
-        Median and largest of the distances.
-    centres : int
-        Number of centres.
-    robust_mm : float
-        3D rms without gross centres.
-    robust_centres : int
-        Number of centres that are not gross.
-    """
-
-    rms_mm: float
-    median_mm: float
-    max_mm: float
-    centres: int
-    robust_mm: float
-    robust_centres: int
-
-    @classmethod
-    def of(cls, distances: Sequence[np.ndarray], freedom: int = 0) -> HeldOutRms:
-        """From the distances (M,) mm of each part, each predicted by the rest. freedom: degrees of freedom that fits to them took."""
-        d = np.concatenate(distances)
-        kept = np.concatenate([~gross(part) for part in distances])
-        median, largest = float(np.median(d)), float(d.max())
-        return cls(rms(d, freedom), median, largest, len(d), rms(d[kept], freedom), int(kept.sum()))
 
 
 def gross(*distances: np.ndarray) -> np.ndarray:

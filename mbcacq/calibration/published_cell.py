@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import OPTIONS, ChangeEvidence
+from mbcacq.calibration.change import NOTABLE, ChangeEvidence
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.description import wrong_length
 from mbcacq.effects.effect_model import EffectModel
@@ -58,7 +58,7 @@ def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> Calib
     """
     if change.second_moment is None:
         return cell
-    said = {"change_probability": change.probability} if change.probability > OPTIONS.notable else {}
+    said = {"change_probability": change.probability} if change.probability > NOTABLE else {}
     covariance = cell.covariance + change.probability * change.second_moment
     return replace(cell, covariance=covariance, extra={**cell.extra, **said})
 

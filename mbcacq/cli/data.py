@@ -83,13 +83,14 @@ def new(
     One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot). It also has the
     measurement: the target's pose, the centre of one sphere, or those of several. If headings leave something open, the data decide. A row
     may also be a point of a line profile of a sphere (profile, profile_x_mm, profile_z_mm), with the flange's pose in each row or in a
-    table before.
+    table before. For profiles on the move that table has the cycles, and both have times.
 
     \b
     Examples:
       mbcacq data new poses.csv
       mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
       mbcacq data new flange.csv profiles.csv --diameter 30
+      mbcacq data new cycles.csv points.csv --diameter 30
       mbcacq calibrate cell-3 --hand-eye-only
     """
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files

@@ -225,6 +225,14 @@ def remarks(result: dict[str, Any]) -> list[str]:
     return out + [f"Warning: {warning}" for warning in result.get("warnings") or ()]
 
 
+def clock(result: dict[str, Any]) -> list[str]:
+    """Delay and drift of the clock of a scanner that measured in motion."""
+    from mbcacq.calibration.clock_term import clock_sentence
+
+    found = result.get("clock")
+    return [clock_sentence(found["delay_s"], found["delay_sigma_s"], found["drift"])] if found else []
+
+
 def scan_scale(result: dict[str, Any]) -> list[str]:
     """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm can observe that."""
     s = result.get("scan_scale")

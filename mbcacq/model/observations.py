@@ -46,6 +46,10 @@ class Observations:
         Payload, kg.
     velocity : (P, n) ndarray or None
         Joint velocities at the exposure, rad/s.
+    sensor_time_s : (P,) ndarray or None
+        Time by the scanner's own clock, s, where it measured in motion.
+    flange_velocity : (P, 6) ndarray or None
+        Velocity of the flange at the exposure in its own frame, mm/s and rad/s, where the scanner measured in motion.
     temperatures
         Name of the column (ends in _C) -> (P,) °C.
     n_points, rms_mm : (M,) ndarray or None
@@ -84,6 +88,8 @@ class Observations:
     current: np.ndarray | None = None
     payload_kg: np.ndarray | None = None
     velocity: np.ndarray | None = None
+    sensor_time_s: np.ndarray | None = None
+    flange_velocity: np.ndarray | None = None
     temperatures: Mapping[str, np.ndarray] = field(default_factory=dict)
     n_points: np.ndarray | None = None
     rms_mm: np.ndarray | None = None
@@ -153,6 +159,7 @@ class Observations:
 
 POSE_COLUMNS = (
     "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",
+    "sensor_time_s", "flange_velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
 CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance")

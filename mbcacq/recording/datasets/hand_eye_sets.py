@@ -23,6 +23,7 @@ from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings
+from mbcacq.recording.datasets.profiles_in_motion import read_profiles_in_motion
 
 MAX_BYTES = 1 << 26
 SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples
@@ -42,6 +43,8 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
             raise ConfigError(f"{file} does not exist; give a table of poses, a file of samples, or a folder of matrices")
     if len(files) == 2 and all(f.suffix.lower() in SUFFIXES for f in files):
         poses, points = (_table_of(f, options) for f in files)
+        if (in_motion := read_profiles_in_motion(poses, points, options)) is not None:
+            return in_motion
         if (profiles := read_profiles(points, options, poses)) is not None:
             return profiles
         return understood(_paired(first, files[1], options), _without_columns(options))

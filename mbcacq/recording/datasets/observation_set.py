@@ -20,7 +20,16 @@ from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
 from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange_group, target_columns
-from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, refuse_radians, rotations
+from mbcacq.recording.datasets.csv_columns import (
+    CENTRES,
+    FLANGE_VELOCITY,
+    QUATERNION,
+    XYZ,
+    numbered,
+    poses_schema,
+    refuse_radians,
+    rotations,
+)
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
@@ -88,6 +97,10 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         out["phase"] = np.array([cell.strip() for cell in table.text("phase")], dtype=np.str_)
     if table.has("time_s"):
         out["time_s"] = table.time("time_s")
+    if table.has(["sensor_time_s", *FLANGE_VELOCITY]):
+        out["sensor_time_s"] = table.number("sensor_time_s")
+        linear, turning = (table.group(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
+        out["flange_velocity"] = np.concatenate([linear, turning], axis=1)
     if table.has("payload_kg"):
         out["payload_kg"] = table.number("payload_kg")
     if by_flange is None:

@@ -13,7 +13,7 @@ from mbcacq.files.atomic_write import Content, write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
-from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, numbered, numbers, table_text
+from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbered, numbers, table_text
 
 # A rotation vector in rad: the numbers that are in memory, and a heading that cannot be meant otherwise.
 FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_rad", "flange_rotvec_y_rad", "flange_rotvec_z_rad")
@@ -54,6 +54,10 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= dict(zip(FLANGE_COLUMNS, map(numbers, obs.q.T), strict=True))
     else:
         columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
+    if obs.flange_velocity is not None and obs.sensor_time_s is not None:
+        columns["sensor_time_s"] = numbers(obs.sensor_time_s)
+        of_flange = np.concatenate([obs.flange_velocity[:, :3].T, np.degrees(obs.flange_velocity[:, 3:]).T])
+        columns |= dict(zip(FLANGE_VELOCITY, map(numbers, of_flange), strict=True))
     for pattern, values, text in (
         ("dir{}", obs.direction, numbers),
         ("qd{}_deg_s", obs.velocity, angles.degrees_text),
