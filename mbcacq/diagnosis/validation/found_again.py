@@ -44,7 +44,7 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
 
 
 def group_label(at: str, depends_on: str) -> str:
-    """Of the unmodelled effect of one covariate at a location."""
+    """The label of the unmodelled effect of one covariate at a location."""
     return label_of(UNKNOWN, (f"{at}({depends_on})",))
 
 
