@@ -42,11 +42,11 @@ def at(n: int, **of: np.ndarray) -> np.ndarray:
     return out
 
 
-def moment(chain: Chain, q: np.ndarray, frame: int) -> np.ndarray:
-    """(P, 3) N m of the weight behind a frame about its origin, in its axes."""
+def moment(chain: Chain, q: np.ndarray, frame: int, aside: float = 0.0) -> np.ndarray:
+    """(P, 3) N m of the weight behind a frame about its origin, in its axes. aside: mm by which the tool's weight is off the last axis."""
     F = chain.frames(q)
     middle = 0.5 * (F[:, frame:-1, :3, 3] + F[:, frame + 1 :, :3, 3]) - F[:, frame, None, :3, 3]
-    tip = F[:, -1, :3, 3] + 100 * F[:, -1, :3, 2] - F[:, frame, :3, 3]
+    tip = F[:, -1, :3, 3] + 100 * F[:, -1, :3, 2] + aside * F[:, -1, :3, 0] - F[:, frame, :3, 3]
     first = np.einsum("pij,i->pj", middle, MASS[frame:]) + 8 * tip
     return np.einsum("pji,pj->pi", F[:, frame, :3, :3], np.cross(first, [0.0, 0.0, -9.80665e-3]))
 
@@ -72,7 +72,7 @@ LAWS: dict[str, Law] = {
     "gear errors of orders 17 and 22": lambda c, q, d: at(6, a2=8e-5 * np.sin(17 * q[:, 1]), a3=8e-5 * np.sin(22 * q[:, 2] + 1)),
     "eccentric encoders of A3, A5": lambda c, q, d: at(6, a3=2e-4 * np.sin(q[:, 2] + 1), a5=2e-4 * np.sin(q[:, 4] + 2)),
     "a torque that stiffens A2": lambda c, q, d: at(6, a2=2e-4 * np.tanh(torque(c, q)[:, 1] / 150)),
-    "a link that twists": lambda c, q, d: frame_at(q, 3, 5, 8e-6 * moment(c, q, 3)[:, 2]),
+    "a link that twists by a tool with its weight aside": lambda c, q, d: frame_at(q, 2, 3, 2e-5 * moment(c, q, 2, 150.0)[:, 0]),
     "a base that tilts": lambda c, q, d: frame_at(q, 0, 4, 4e-7 * moment(c, q, 0)[:, 1]),
     "a mount with clearance": lambda c, q, d: frame_at(q, 6, 0, 0.08 * np.sign(c.frames(q)[:, -1, 2, 0])),
     "gear errors of orders 57 and 101": lambda c, q, d: at(6, a2=1e-4 * np.sin(57 * q[:, 1]), a3=1e-4 * np.sin(101 * q[:, 2])),
