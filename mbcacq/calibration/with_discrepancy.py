@@ -108,9 +108,9 @@ def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _
     return other if other.evidence > one.evidence + least else one
 
 
-def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER) -> _Groups:
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER[1:]) -> _Groups:
     """The groups with those of further kinds, one kind after the other, where the evidence asks for them. where_noisy: the kinds that are
-    tried only where the joints' noise is beyond the data sheet."""
+    tried only where the joints' noise is beyond the data sheet: there are many of them."""
     allowed = first_noise(here.obs.cell)
     for kind in kinds:
         if kind in where_noisy and joint_factor(best.noise, here.obs.cell) < EXCESS:
@@ -120,7 +120,7 @@ def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: 
             continue
         further = kind in FURTHER
         least = LEAST_GAIN + (CHANCE_OF_SUPPORTED if further else CHANCE) * (len(tried.terms) - len(best.terms))
-        gain, size = tried.quick_gain(best.noise)
+        gain, size = tried.quick_gain(allowed if kind is discrepancy.structure else best.noise)
         if gain < (LEAST_GAIN if further else least):
             continue
         if further:

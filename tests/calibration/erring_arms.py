@@ -85,7 +85,8 @@ def erring_arm(law: Law, seed: int, places: int = 8, further: int = 6) -> tuple[
     cell = scanner_cell(rng, stations=places + further, per_station=12, errors=random_errors(kr10(), rng))
     obs, direction = cell.observations, np.sign(rng.normal(size=cell.observations.q.shape))
     middle = 0.5 * np.linalg.inv(obs.cell.robot.chain.link_transforms(np.zeros((1, 6)))[0])[:, :3, 3]
-    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=np.array([0, 0, 100.0]))
+    tool = np.array([150.0 if "aside" in law_name(law) else 0.0, 0, 100])
+    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=tool)
     obs = replace(obs, cell=replace(obs.cell, robot=robot), direction=direction if "directions" in law_name(law) else None)
     off = law(cell.truth.chain, obs.q, direction)
     joint, frame = (off, None) if off.ndim == 2 else (np.zeros_like(obs.q), off)
