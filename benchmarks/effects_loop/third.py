@@ -175,11 +175,7 @@ def page(kept: list[dict[str, Any]]) -> str:
             continue
         gain = np.array([r["with_effects_mm"] / r["geometry_mm"] for r in mine])
         error = np.array([r["error_over_sigma"] for r in mine])
-        shares = [
-            np.mean([not is_untrue(r) for r in mine]),
-            np.mean([r["share_if_true"] for r in mine]),
-            np.mean(list(map(is_usual, mine))),
-        ]
+        judged = [[not is_untrue(r), r["share_if_true"], is_usual(r)] for r in mine]
         found = sum(bool(r["effects"]) for r in mine)
         said.append([kind, len(mine), found, sum(map(is_worse, mine)), f"{np.median(gain):.2f}", f"{gain.max():.2f}"])
         said[-1] += [*(f"{100 * share:.0f} %" for share in np.mean(judged, axis=0)), f"{np.median(error):.2f}"]
