@@ -8,8 +8,8 @@ import time
 
 import clouds
 import numpy as np
-from peer_open3d import open3d
 
+from mbcacq.files.open3d_library import open3d
 from mbcacq.spheres import find_spheres
 from mbcacq.spheres.fit import rough_fits, sphere_fits
 

@@ -112,19 +112,38 @@ def measured_centres(start: ProfileStart, circles: Sequence[Circle], radius: flo
     return np.array(centres), np.array(covariances)
 
 
+def section_rows(
+    hand: np.ndarray, circles: Sequence[Circle], radius: np.ndarray, T_hand_eye: np.ndarray, spheres: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What each circle misses its own sphere by.
+
+    hand: (P, 4, 4); radius: (P,) mm; spheres: (P, 3) mm, of each circle.
+
+    Returns the rows (P, 3) mm, their derivatives (P, 3, 3) by the place of the sphere in the scanner, that place (P, 3) mm, and the
+    derivatives (P, 3, 9) by translation and rotation behind the transform (4, 4), and by the sphere.
+    """
+    middle, size = np.array([c.centre for c in circles]), np.array([c.radius for c in circles])
+    section = _Section(hand, middle, size, radius)
+    rows, s = section.missed(T_hand_eye[None], spheres[None])
+    by_place = np.zeros((len(size), 3, 3))
+    by_place[:, 0, 0] = by_place[:, 1, 2] = -1.0
+    by_place[:, 2, 1] = s[0, :, 1] / size
+    return rows[0], by_place, s[0], section.jacobian(T_hand_eye[None], s)[0]
+
+
 @dataclass(frozen=True)
 class _Section:
-    """Circles of one sphere: hand (P, 4, 4), their middles (P, 2) and sizes (P,), and the sphere's radius, mm."""
+    """Circles of spheres: hand (P, 4, 4), their middles (P, 2) and sizes (P,), and the radius of the sphere, or (P,) of each, mm."""
 
     hand: np.ndarray
     middle: np.ndarray
     size: np.ndarray
-    radius: float
+    radius: float | np.ndarray
 
     def missed(self, T: np.ndarray, sphere: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, P, 3) mm by which middles and sizes differ from those of K transforms (K, 4, 4) and spheres (K, 3), and the place of the
-        sphere in the scanner (K, P, 3)."""
-        away = sphere[:, None] - self.hand[:, :3, 3]
+        """(K, P, 3) mm by which middles and sizes differ from those of K transforms (K, 4, 4) and spheres (K, 3), or (K, P, 3) of each
+        circle, and the place of the sphere in the scanner (K, P, 3)."""
+        away = (sphere[:, None] if sphere.ndim == 2 else sphere) - self.hand[:, :3, 3]
         in_hand = np.einsum("pji,kpj->kpi", self.hand[:, :3, :3], away)
         s = np.einsum("kji,kpj->kpi", T[:, :3, :3], in_hand - T[:, None, :3, 3])
         of_size = (self.size**2 - self.radius**2 + s[..., 1] ** 2) / (2 * self.size)

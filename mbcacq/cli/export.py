@@ -97,7 +97,8 @@ def next_step(
     if results is not None:
         arm = results / "arm.mjcf.xml"
         if folder_of(run) is None and arm.exists():
-            return "describe plans by the calibrated arm", command_line("robot", "import", arm, "--out", "calibrated-arm.yaml")
+            what = "describe plans by the calibrated arm (30 °/s is slow: put in the speed of its data sheet)"
+            return what, command_line("robot", "import", arm, "--speed", 30, "--out", "calibrated-arm.yaml")
         return judge_first(run)
     if trajectory is not None:
         return "ask which effects the motion shows", command_line("diagnose", trajectory)

@@ -46,7 +46,7 @@ class PoseColumns:
     wide: tuple[WideColumns, ...] = ()
 
     def of_poses(self, poses: slice) -> PoseColumns:
-        """Those of some poses that follow each other; no array is copied."""
+        """Columns of a contiguous range of poses; no array is copied."""
         arrays = self.basis[poses], self.twists[poses], self.station[poses], self.joints[poses]
         wide = tuple(one.of_poses(poses) for one in self.wide)
         return PoseColumns(*arrays, self.own.of_poses(poses), self.residual[poses], self.by_rows, wide)

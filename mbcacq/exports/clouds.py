@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.spheres.ply import TYPES, ply_content
 
 NORMALS = ("nx", "ny", "nz")
-PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 
 
 def write_cloud(path: Path, points: np.ndarray, properties: Mapping[str, np.ndarray], T: np.ndarray) -> tuple[str, ...]:
@@ -23,13 +23,7 @@ def write_cloud(path: Path, points: np.ndarray, properties: Mapping[str, np.ndar
     if all(name in columns for name in NORMALS):
         normals = np.stack([columns[name] for name in NORMALS], axis=1).astype(float) @ T[:3, :3].T
         columns |= {name: normals[:, i].astype(columns[name].dtype) for i, name in enumerate(NORMALS)}
-    others = tuple(name for name, values in columns.items() if values.dtype.str[1:] not in PLY_TYPES)
+    others = tuple(name for name, values in columns.items() if values.dtype.str[1:] not in TYPES)
     columns |= {name: columns[name].astype("<f8") for name in others}
-    dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
-    rows = np.empty(len(points), dtype)
-    for name, values in columns.items():
-        rows[name] = values
-    announced = "".join(f"property {PLY_TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
-    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(points)}\n{announced}end_header\n"
-    write_file(path, header.encode("ascii", "replace") + rows.tobytes())
+    write_file(path, ply_content(columns))
     return others

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.model.board_images import BoardImages
 from mbcacq.model.cell import Cell
 
 
@@ -46,6 +47,10 @@ class Observations:
         Payload, kg.
     velocity : (P, n) ndarray or None
         Joint velocities at the exposure, rad/s.
+    sensor_time_s : (P,) ndarray or None
+        Time by the scanner's own clock, s, where it measured in motion.
+    flange_velocity : (P, 6) ndarray or None
+        Velocity of the flange at the exposure in its own frame, mm/s and rad/s, where the scanner measured in motion.
     temperatures
         Name of the column (ends in _C) -> (P,) °C.
     n_points, rms_mm : (M,) ndarray or None
@@ -55,6 +60,9 @@ class Observations:
     covariance : (M, R, R) ndarray or None
         Covariance that each measurement states: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and rotation vector in the
         instrument's frame, mm^2, mm rad, rad^2).
+    shared : (M, R, K) ndarray or None
+        Change of each measurement by one standard deviation of each of K errors that all measurements share, such as those of a camera's
+        intrinsics, mm and rad.
     scale
         Factor by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
     recording : (P,) ndarray or None
@@ -63,6 +71,8 @@ class Observations:
         Sigma of a centre's coordinates and of each joint, relative to those of the first recording.
     payload_com : (P, 3) ndarray or None
         Centre of gravity of the payload in the flange frame, mm.
+    images : BoardImages or None
+        The images from which the observations were made.
     extra
         Columns that this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
     cell_yaml
@@ -84,15 +94,19 @@ class Observations:
     current: np.ndarray | None = None
     payload_kg: np.ndarray | None = None
     velocity: np.ndarray | None = None
+    sensor_time_s: np.ndarray | None = None
+    flange_velocity: np.ndarray | None = None
     temperatures: Mapping[str, np.ndarray] = field(default_factory=dict)
     n_points: np.ndarray | None = None
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
     covariance: np.ndarray | None = None
+    shared: np.ndarray | None = None
     scale: float | None = None
     recording: np.ndarray | None = None
     noise_scale: np.ndarray | None = None
     payload_com: np.ndarray | None = None
+    images: BoardImages | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_yaml: str = ""
 
@@ -153,9 +167,10 @@ class Observations:
 
 POSE_COLUMNS = (
     "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",
+    "sensor_time_s", "flange_velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
-CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance")
+CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance", "shared")
 
 
 def _take(array: np.ndarray | None, mask: np.ndarray) -> np.ndarray | None:

@@ -60,7 +60,7 @@ def render(content: Content, *, paper: bool = False) -> str:
 
 def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
     """SVG of the bar before calibration, after geometry, and after effects."""
-    from mbcacq.report.charts.stages_svg import stages_picture
+    from mbcacq.report.charts.spacing_svg import stages_picture
 
     stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
     expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))

@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.open3d_library import open3d
+from mbcacq.files.ply_header import PlyElement, read_header
 from mbcacq.files.stated_unit import stated_unit
 from mbcacq.files.units import AmbiguousUnit, converted, same_dimension, unit_named
-from mbcacq.spheres.ply_header import PlyElement, read_header
 
 MAX_BYTES = 4 * 2**30
 MAX_PCD_HEADER = 64 * 1024
 PCD_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+VECTORS = {"positions": ("x", "y", "z"), "normals": ("nx", "ny", "nz"), "colors": ("red", "green", "blue")}  # as Open3D joins them
 PACKED = ("rgb", "rgba")  # PCD's colours: four bytes in one number
 UNITS_MM = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "in": 25.4}
 FEWEST_TO_JUDGE = 10  # points whose size says something
@@ -283,39 +285,13 @@ def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], cou
     length, announced = np.frombuffer(data[:8], "<u4").tolist() if len(data) >= 8 else (0, -1)
     if announced != size or len(data) < 8 + length:
         raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")
-    plain, out, at = _lzf(path, data[8 : 8 + length], size), {}, 0
-    for name, t in fields:  # one field after the other
-        out[name] = np.frombuffer(plain, t.newbyteorder("<"), count, at).astype(t)
-        at += count * t.itemsize
-    return out
-
-
-def _lzf(path: Path, data: bytes, size: int) -> bytes:
-    """LZF: a control byte below 32 is followed by one more literal bytes, another is a copy of what came before."""
-    out, at = bytearray(), 0
-    try:
-        while at < len(data):
-            control = data[at]
-            at += 1
-            if control < 32:
-                out += data[at : at + control + 1]
-                at += control + 1
-                continue
-            length = control >> 5
-            if length == 7:
-                length += data[at]
-                at += 1
-            start = len(out) - ((control & 31) << 8) - data[at] - 1
-            at += 1
-            if start < 0 or len(out) > size:
-                break
-            for place in range(start, start + length + 2):  # may run into what it has just written
-                out.append(out[place])
-    except IndexError:
-        out.clear()
-    if len(out) != size:
-        raise ConfigError(f"{path}: its compressed points are damaged; copy it anew")
-    return bytes(out)
+    columns: dict[str, np.ndarray] = {}
+    for name, values in open3d().t.io.read_point_cloud(str(path), format="pcd").point.items():
+        columns |= dict(zip(VECTORS.get(name, (name,)), values.numpy().T, strict=True))
+    whole = {c for name, _ in fields if name[0] != "_" for c in _unpacked({name: np.empty(0, "<u4")})}  # every field that is asked for
+    if any(len(values) != count for values in columns.values()) or not whole <= set(columns):
+        raise ConfigError(f"{path}: its compressed points are damaged, or of other kinds than Open3D reads; save it uncompressed")
+    return columns
 
 
 def _unpacked(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

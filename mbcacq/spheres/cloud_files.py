@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.mesh_file import read_mesh
 from mbcacq.files.stated_unit import stated_unit, unit_of_axes
 from mbcacq.spheres.cloud_file import mm_per, read_cloud_file
 
@@ -21,7 +22,6 @@ TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts")
 MAX_BYTES = 2 << 30
 MOST_POINTS = 200_000_000
 _AXIS = re.compile(r"([+-]?)([xyz])")
-_STL_HEAD, _STL_FACET = 84, 50
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _read(path: Path, suffix: str, form: CloudFormat) -> tuple[np.ndarray, str]:
         if suffix in TEXTS:
             return _text(path)
         if suffix == ".stl":
-            return _stl(path), ""
+            return np.unique(read_mesh(path).vertices, axis=0), ""
         if suffix in (".tif", ".tiff"):
             return _range_map(path, form), ""
         found = read_cloud_file(path)
@@ -185,26 +185,6 @@ def _numbers(line: str) -> tuple[float, ...] | None:
         if len(values) == 3:
             return values
     return None
-
-
-def _stl(path: Path) -> np.ndarray:
-    """Corners of the triangles of a mesh, each once."""
-    data = path.read_bytes()
-    count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEAD else 0
-    if data[:5].lower() == b"solid" and len(data) != _STL_HEAD + _STL_FACET * count:
-        if b"endsolid" not in data[-200:].lower():
-            raise ConfigError(f"{path}: is cut off (no 'endsolid' at its end); save the mesh anew")
-        found = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
-        try:
-            corners = np.array(found, dtype=float).reshape(-1, 3)
-        except ValueError:
-            raise ConfigError(f"{path}: a corner of its triangles has no three numbers; save the mesh anew") from None
-    elif len(data) < _STL_HEAD + _STL_FACET * count or not count:
-        raise ConfigError(f"{path}: is cut off: its head announces {count} triangles; save the mesh anew")
-    else:
-        facets = np.frombuffer(data, dtype=np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]), count=count, offset=_STL_HEAD)
-        corners = facets["v"].reshape(-1, 3)
-    return np.unique(corners, axis=0)
 
 
 def _has_second_page(file: Any) -> bool:

@@ -1,8 +1,8 @@
-"""Ball centres from a cloud in a file, as another laboratory would send it."""
+"""Clouds in PLY files: ball centres from one that another laboratory sends, and the content of one that is written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,8 @@ from mbcacq.model.cell import Artefact
 from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 from mbcacq.spheres.extract import find_spheres
 from mbcacq.spheres.found import FoundSpheres, SphereOptions
+
+TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 
 
 def read_cloud(path: str | Path) -> np.ndarray:
@@ -29,3 +31,15 @@ def centres_from_ply(
 ) -> FoundSpheres:
     """``find_spheres`` on the cloud in a file (mm, scanner frame)."""
     return find_spheres(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)
+
+
+def ply_content(columns: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> bytes:
+    """Binary PLY of vertices: columns (N,) by name, each of one of ``TYPES``, lengths in mm. Open3D's writer drops what is no float."""
+    count = len(next(iter(columns.values())))
+    rows = np.empty(count, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    said = "".join(f"comment {line}\n" for line in ("unit mm", *comments))
+    announced = "".join(f"property {TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
+    header = f"ply\nformat binary_little_endian 1.0\n{said}element vertex {count}\n{announced}end_header\n"
+    return header.encode("ascii", "replace") + rows.tobytes()

@@ -65,7 +65,7 @@ class CalibratedWithFound:
 
     def write(self, folder: Path) -> list[Path]:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
-        from mbcacq.report.charts.stages_svg import stages_picture
+        from mbcacq.report.charts.spacing_svg import stages_picture
 
         files = {"result.json": sealed_text(self.result())}
         if self.places:

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from peer_open3d import open3d
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.cli.app import app
@@ -14,6 +13,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.format import chains
 from mbcacq.exports.scan_correction import place_scan
+from mbcacq.files.open3d_library import open3d
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.geometry.flange_poses import flange_coordinates

@@ -147,7 +147,7 @@ def test_the_next_step_of_a_result_by_itself_is_a_command_about_it(tmp_path):
     results = tmp_path / "results"
     results.mkdir()
     (results / "arm.mjcf.xml").touch()
-    assert next_step(alone, None, results)[1] == f"mbcacq robot import {results / 'arm.mjcf.xml'} --out calibrated-arm.yaml"
+    assert next_step(alone, None, results)[1] == f"mbcacq robot import {results / 'arm.mjcf.xml'} --speed 30 --out calibrated-arm.yaml"
     run = tmp_path / "run"
     (run / "with-effects").mkdir(parents=True)
     for name in ("run.rrd", "result.json", "with-effects/result.json"):

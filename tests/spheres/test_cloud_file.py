@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.clouds import write_cloud
+from mbcacq.files.open3d_library import open3d
 from mbcacq.spheres import read_cloud
 from mbcacq.spheres.cloud_file import CloudFile, in_mm, looks_small, read_cloud_file
 

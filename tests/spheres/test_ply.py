@@ -6,9 +6,9 @@ from pathlib import Path
 import clouds
 import numpy as np
 import pytest
-from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.open3d_library import open3d
 from mbcacq.model.cell import Station
 from mbcacq.plan import load
 from mbcacq.recording.datasets.scan_folder import centres_from_scans, write_ply

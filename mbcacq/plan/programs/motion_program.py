@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -30,15 +30,27 @@ class MoveTo:
     """A joint motion, exact at its end. angles: (n,) deg as the controller counts them; duration_s: at the plan's speed, None where nobody
     knows from where it begins; note: for people."""
 
+    do: ClassVar = "move"
     angles: tuple[float, ...]
     duration_s: float | None
     note: str
+
+    @property
+    def radians(self) -> list[float]:
+        """(n,) rad."""
+        return np.radians(self.angles).tolist()
+
+    @property
+    def written(self) -> list[str]:
+        """(n,) deg with six decimals, as tables have them."""
+        return [f"{angle + 0.0:.6f}" for angle in self.angles]
 
 
 @dataclass(frozen=True)
 class ExposeAt:
     """The arm stands at a pose. clouds: running numbers, from 1, of the clouds that are taken here."""
 
+    do: ClassVar = "expose"
     pose: int
     station: str
     clouds: tuple[int, ...]
@@ -48,6 +60,7 @@ class ExposeAt:
 class PlaceArtefact:
     """The arm stands at home; a person puts the artefact to a station and lets the program go on."""
 
+    do: ClassVar = "place"
     station: str
     artefact: str
 
@@ -71,8 +84,15 @@ class MotionProgram:
     acceleration_rad_s2: float
 
     @property
-    def moves(self) -> list[MoveTo]:
-        return [step for step in self.steps if isinstance(step, MoveTo)]
+    def title(self) -> list[str]:
+        """What stands at the head of every program."""
+        clouds = self.exposures[-1].clouds[-1] if self.exposures else 0
+        return [
+            f"Plan {plain(self.plan)} ({self.digest}) for {plain(self.robot)}, written by mbcacq.",
+            f"{len(self.exposures)} poses, {clouds} clouds; {self.speed_percent} % of the axes' speeds.",
+            "Nobody has run this program. First in T1 or at reduced speed, step by step,",
+            "a hand on the enabling switch. The load data of the scanner must be set.",
+        ]
 
     @property
     def exposures(self) -> list[ExposeAt]:
@@ -145,40 +165,7 @@ def motion_program(
     )
 
 
-@dataclass(frozen=True)
-class ExposureLines:
-    """How an exposure is asked for, in a controller's language. key: lines that wait for a person; wait: the line that waits so many
-    seconds; on, off: those that switch an output, with {} in place of its number."""
-
-    key: tuple[str, ...]
-    wait: Callable[[float], str]
-    on: str
-    off: str
-
-    def of(self, trigger: Trigger) -> Iterator[str]:
-        """The lines for one exposure."""
-        if trigger.kind == "key":
-            yield from self.key
-            return
-        if trigger.kind == "output":
-            yield self.on.format(trigger.output)
-            yield self.wait(trigger.pulse_s)
-            yield self.off.format(trigger.output)
-        yield self.wait(trigger.exposure_s)
-
-
 def plain(text: str) -> str:
     """ASCII without quotes or line ends, for comments and texts of any controller."""
     kept = "".join(c if c.isascii() and c.isprintable() and c not in "\"'`;!" else "?" for c in text)
     return " ".join(kept.split())[:60]
-
-
-def title(program: MotionProgram) -> list[str]:
-    """What stands at the head of every program."""
-    clouds = program.exposures[-1].clouds[-1] if program.exposures else 0
-    return [
-        f"Plan {plain(program.plan)} ({program.digest}) for {plain(program.robot)}, written by mbcacq.",
-        f"{len(program.exposures)} poses, {clouds} clouds; {program.speed_percent} % of the axes' speeds.",
-        "Nobody has run this program. First in T1 or at reduced speed, step by step,",
-        "a hand on the enabling switch. The load data of the scanner must be set.",
-    ]

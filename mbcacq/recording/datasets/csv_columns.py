@@ -16,6 +16,7 @@ from mbcacq.recording.datasets import quaternions
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
+FLANGE_VELOCITY = ("v1_mm_s", "v2_mm_s", "v3_mm_s", "w1_deg_s", "w2_deg_s", "w3_deg_s")  # in the flange's own frame
 TIME = Column("time", "s", aliases=("t", "timestamp", "time_stamp", "clock", "date", "datetime", "zeit", "%time"), assumed="s")
 MEASURED = (*(Column(axis, "mm", required=False) for axis in "xyz"), *(Column(name, required=False) for name in QUATERNION))
 
@@ -34,6 +35,9 @@ def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
         Column("phase", kind="text", required=False),
         Column("ball", kind="integer", required=False),
         replace(TIME, required=False),
+        Column("sensor_time", "s", required=False),
+        *(Column(f"v{axis}", "mm/s", required=False) for axis in "123"),
+        *(Column(f"w{axis}", "deg/s", required=False) for axis in "123"),
         Column("payload", "kg", required=False),
         *angles_of_joints(n),
         *joint_columns("dir", n, unit=None, written="", required=False),

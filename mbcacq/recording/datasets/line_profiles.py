@@ -40,7 +40,7 @@ class ProfileTable:
 
 def profile_columns(names: Sequence[str], flange: PoseHeadings | None) -> ProfileTable | None:
     """The columns of profiles among ``names``; None where no thing has x and z and no y, or nothing numbers them."""
-    number = _number_column(names)
+    number = number_column(names)
     if number is None:
         return None
     taken = set(flange.names) if flange else set()
@@ -73,12 +73,16 @@ def _sections(table: Table, columns: ProfileTable, radius: float, default_length
     values = table.numbers(columns.points, empty=np.nan) * (columns.length or default_length or 1.0)
     ids, first, which = np.unique(numbers, return_index=True, return_inverse=True)
     order = np.argsort(which, kind="stable")
-    profiles = np.split(values[order], np.cumsum(np.bincount(which))[:-1])
+    return circles_of_profiles(np.split(values[order], np.cumsum(np.bincount(which))[:-1]), ids, first, radius, str(table.path))
+
+
+def circles_of_profiles(profiles: Sequence[np.ndarray], ids: np.ndarray, first: np.ndarray, radius: float, source: str) -> Sections:
+    """The circles in profiles (n, 2) mm. ids: number of each profile; first: its first row. Raises ConfigError as ``_sections``."""
     circles, noise = circles_in(profiles, radius)
     shown = np.array([c is not None and c.radius < radius + 10 * noise * np.sqrt(c.cofactor[2, 2]) for c in circles], dtype=bool)
     if shown.sum() < LEAST_PROFILES:
         raise ConfigError(
-            f"{table.path}: {int(shown.sum())} of {len(ids)} profiles show a circle of a sphere of {2 * radius:g} mm; at least "
+            f"{source}: {int(shown.sum())} of {len(ids)} profiles show a circle of a sphere of {2 * radius:g} mm; at least "
             f"{LEAST_PROFILES} are needed, better 100: check the diameter (--diameter), the unit, and that the sphere is in view"
         )
     return Sections(first[shown], ids[shown], [c for c, s in zip(circles, shown, strict=True) if c and s], noise, int((~shown).sum()))
@@ -126,15 +130,20 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
         )
     moving = best.hand if best.measurement == ARTEFACT_IN_SCANNER else se3.inverse(best.hand)
     best = replace(best, start=find_start(moving, sections.circles, radius))
-    own_radius, sigma = radius_by_profiles(moving, sections.circles, radius, best.start)
+    said = check_diameter(moving, sections.circles, radius, best.start, table)
+    obs = sphere_observations(best.hand, best.measurement, best.start, sections, radius, str(table.path))
+    return UnderstoodTable(obs, (*_sentences(best, sections, columns, options), said))
+
+
+def check_diameter(moving: np.ndarray, circles: Sequence[Circle], radius: float, start: ProfileStart, table: Table) -> str:
+    """A sentence on the diameter that profiles alone say. Raises ConfigError where they contradict the stated radius (mm)."""
+    own_radius, sigma = radius_by_profiles(moving, circles, radius, start)
     if abs(own_radius - radius) > SURE * sigma:
         raise ConfigError(
             f"{table.path}: the profiles say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2), and --diameter "
             f"{2 * radius:g}; correct the diameter, or the unit of the profiles"
         )
-    said = f"the profiles alone say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2)"
-    obs = sphere_observations(best.hand, best.measurement, best.start, sections, radius, str(table.path))
-    return UnderstoodTable(obs, (*_sentences(best, sections, columns, options), said))
+    return f"the profiles alone say a diameter of {2 * own_radius:.2f} ± {4 * sigma:.2g} mm (k = 2)"
 
 
 def _tried(
@@ -186,13 +195,13 @@ def sphere_observations(
     return Observations(cell, sections.numbers, nothing, q, np.arange(count), nothing, xyz, covariance=covariance)
 
 
-def _number_column(names: Sequence[str]) -> str | None:
+def number_column(names: Sequence[str]) -> str | None:
     return next((n for n in names if n.strip().lower().replace(" ", "_") in NUMBER_WORDS), None)
 
 
 def _rows_of(poses: Table, points: Table, columns: ProfileTable) -> np.ndarray:
     """The row of the poses (M,) for each row of the points. Raises ConfigError for a profile without a pose."""
-    number = _number_column(list(poses.columns))
+    number = number_column(list(poses.columns))
     if number is None:
         raise ConfigError(
             f"{poses.path}:1: a table of poses beside profiles needs the number of each profile ({columns.number}); the header has: "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from mbcacq.files.atomic_write import Content, write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
-from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, numbered, numbers, table_text
+from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbered, numbers, table_text
 
+IMAGES = "images.json"
 # A rotation vector in rad: the numbers that are in memory, and a heading that cannot be meant otherwise.
 FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_rad", "flange_rotvec_y_rad", "flange_rotvec_z_rad")
 
@@ -26,6 +28,8 @@ def write_observation_set(observations: Observations, folder: Path | str, scans:
     """
     obs, folder = observations, Path(folder)
     tables = {"poses.csv": table_text(_pose_columns(obs)), "centres.csv": table_text(_centre_columns(obs))}
+    if obs.images is not None:
+        tables[IMAGES] = json.dumps(obs.images.to_dict(), indent=1)
     write_files(folder, {"cell.yaml": _cell_text(obs), **tables, **(scans or {})})
 
 
@@ -54,6 +58,10 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= dict(zip(FLANGE_COLUMNS, map(numbers, obs.q.T), strict=True))
     else:
         columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
+    if obs.flange_velocity is not None and obs.sensor_time_s is not None:
+        columns["sensor_time_s"] = numbers(obs.sensor_time_s)
+        of_flange = np.concatenate([obs.flange_velocity[:, :3].T, np.degrees(obs.flange_velocity[:, 3:]).T])
+        columns |= dict(zip(FLANGE_VELOCITY, map(numbers, of_flange), strict=True))
     for pattern, values, text in (
         ("dir{}", obs.direction, numbers),
         ("qd{}_deg_s", obs.velocity, angles.degrees_text),
@@ -79,6 +87,8 @@ def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= _quaternion_columns(obs, obs.rotation)
     if obs.covariance is not None:
         columns |= covariances.columns(obs.covariance)
+    if obs.shared is not None:
+        columns |= covariances.shared_columns(obs.shared)
     skip = {*columns, *QUATERNION}
     return columns | _extra(obs, "centres.", skip)
 

@@ -10,6 +10,7 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.files.atomic_write import write_file
 from mbcacq.files.stated_unit import in_words
 from mbcacq.model.cell import Artefact, Cell
+from mbcacq.spheres import ply
 
 TRIED = 5  # clouds without a ball that are looked at in other units
 
@@ -78,14 +79,8 @@ def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = Non
 def ply_content(points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> bytes:
     """Binary PLY: points (N, 3) as float32 or float64, mm; intensity (N,) uint8 as a property of its own. simulated: a comment
     says so."""
-    kind, name = ("<f8", "double") if points.dtype == np.float64 else ("<f4", "float")
-    fields = [("x", kind), ("y", kind), ("z", kind)] + ([("intensity", "u1")] if intensity is not None else [])
-    cloud = np.empty(len(points), dtype=fields)
-    cloud["x"], cloud["y"], cloud["z"] = points.T
-    properties = "".join(f"property {name} {axis}\n" for axis in "xyz")
+    kind = "<f8" if points.dtype == np.float64 else "<f4"
+    columns = {axis: points[:, i].astype(kind) for i, axis in enumerate("xyz")}
     if intensity is not None:
-        cloud["intensity"] = intensity
-        properties += "property uchar intensity\n"
-    mark = "comment simulated: true\n" if simulated else ""
-    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\n{mark}element vertex {len(points)}\n{properties}end_header\n"
-    return header.encode("ascii") + cloud.tobytes()
+        columns["intensity"] = np.asarray(intensity, dtype=np.uint8)
+    return ply.ply_content(columns, ["simulated: true"] if simulated else [])

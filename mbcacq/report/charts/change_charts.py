@@ -6,7 +6,7 @@ import textwrap
 
 from mbcacq.figure import Figure
 from mbcacq.quantities import measured, symbol
-from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
 from mbcacq.report.content import ChangeRow
 
 LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
@@ -14,26 +14,26 @@ ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of 
 
 
 def changes(rows: list[ChangeRow]) -> Figure:
-    """Changes of quantities of one unit, each with its expanded uncertainty; those beyond chance in the colour of a limit."""
-    figure = Figure()
+    """Changes of quantities of one unit, each with its expanded uncertainty; those beyond chance in the colour of limits."""
+    chart = Plot()
     for marked, name, colour, shape in ((False, "within chance", AFTER, "circle"), (True, "beyond chance", LIMIT, "diamond")):
         shown = [row for row in rows if row.marked == marked]
-        figure.add_scatter(
-            x=[row.change for row in shown],
-            y=[_label(row.name) for row in shown],
+        chart.points(
+            [row.change for row in shown],
+            [_label(row.name) for row in shown],
+            colour=colour,
+            size=8,
+            symbol=shape,
             error_x={"type": "data", "array": [row.expanded for row in shown], "color": colour, "thickness": 1.2, "width": 4},
-            mode="markers",
-            marker={"color": colour, "size": 8, "symbol": shape},
             name=name,
             text=[measured(row.change, row.expanded, symbol(row.unit)) for row in shown],
-            hovertemplate="%{y}: %{text} (k = 2)<extra></extra>",
+            hover="%{y}: %{text} (k = 2)",
         )
-    figure.add_line_across(x=0.0, color=LINE, width=1)
-    figure.update_yaxes(
-        categoryorder="array", categoryarray=[_label(row.name) for row in rows], autorange="reversed", dtick=1, showgrid=False
-    )
-    figure.update_xaxes(title=f"change / {symbol(rows[0].unit)}, with U (k = 2)", gridcolor="#e6e6e6")
-    return styled(figure, FRAME_PX + sum(ROW_PX + LINE_PX * _label(row.name).count("<br>") for row in rows))
+    chart.add_line_across(x=0.0, color=LINE, width=1)
+    names = [_label(row.name) for row in rows]
+    x = {"title": f"change / {symbol(rows[0].unit)}, with U (k = 2)", "gridcolor": "#e6e6e6"}
+    y = {"categoryorder": "array", "categoryarray": names, "autorange": "reversed", "dtick": 1, "showgrid": False}
+    return chart.finished(FRAME_PX + sum(ROW_PX + LINE_PX * name.count("<br>") for name in names), x, y)
 
 
 def _label(name: str) -> str:

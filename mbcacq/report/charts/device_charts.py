@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, PHASES, styled
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, PHASES, Plot
 
+HEIGHT = 270
 SHORT_S = 300.0  # the times of a shorter run are shown in seconds
 STATES = {
     "moving": PHASES[0],
@@ -22,12 +23,9 @@ STATES = {
 def late_answers(late: np.ndarray) -> Figure:
     """Number of cycles over the number of late answers that the controller counted, late (k,)."""
     value, count = np.unique(np.rint(late).astype(int), return_counts=True)
-    figure = Figure().add_bar(
-        x=[str(v) for v in value], y=count, marker={"color": AFTER}, hovertemplate="%{x} late: %{y} cycles<extra></extra>"
-    )
-    figure.update_xaxes(title="late answers, as the controller counts", type="category")
-    figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
-    return styled(figure, 270)
+    chart = Plot().bars([str(v) for v in value], count, colour=AFTER, hover="%{x} late: %{y} cycles")
+    x = {"title": "late answers, as the controller counts", "type": "category"}
+    return chart.finished(HEIGHT, x, {"title": "cycles (log)", "type": "log", "dtick": 1})
 
 
 def periods(period_ms: np.ndarray, nominal_ms: float | None) -> Figure:
@@ -35,43 +33,35 @@ def periods(period_ms: np.ndarray, nominal_ms: float | None) -> Figure:
     values = period_ms[np.isfinite(period_ms)]
     high = max(float(np.percentile(values, 99.95)), 2.0 * (nominal_ms or 0.0))
     count, edges = np.histogram(np.clip(values, 0, high), bins=60, range=(0, high))
-    figure = Figure().add_bar(
-        x=(edges[1:] + edges[:-1]) / 2,
-        y=count,
-        width=np.diff(edges),
-        marker={"color": AFTER, "line": {"width": 0}},
-        hovertemplate="%{x:.2f} ms: %{y} cycles<extra></extra>",
-    )
+    middle, hover = (edges[1:] + edges[:-1]) / 2, "%{x:.2f} ms: %{y} cycles"
+    chart = Plot().bars(middle, count, width=np.diff(edges), colour=AFTER, edge=0, hover=hover)
     if nominal_ms:
-        figure.add_line_across(x=nominal_ms, text=f"controller {nominal_ms:.3g} ms", color=LIMIT, width=1.5, dash="dash")
-    figure.update_xaxes(title="period on this computer / ms")
-    figure.update_yaxes(title={"text": "cycles (log)", "standoff": 14}, type="log", dtick=1)
-    return styled(figure, 270)
+        chart.add_line_across(x=nominal_ms, text=f"controller {nominal_ms:.3g} ms", color=LIMIT, width=1.5, dash="dash")
+    y = {"title": {"text": "cycles (log)", "standoff": 14}, "type": "log", "dtick": 1}
+    return chart.finished(HEIGHT, "period on this computer / ms", y)
 
 
 def exposure_times(exposure_s: np.ndarray) -> Figure:
     """Histogram of the times (e,) s from one exposure to the next at a pose."""
-    figure = Figure().add("histogram", x=exposure_s, nbinsx=40, marker={"color": AFTER}, hovertemplate="%{x} s: %{y}<extra></extra>")
-    figure.update_xaxes(title="from one exposure to the next / s", rangemode="tozero")
-    figure.update_yaxes(title="exposures")
-    return styled(figure, 270)
+    chart = Plot()
+    chart.add("histogram", x=exposure_s, nbinsx=40, marker={"color": AFTER}, hovertemplate="%{x} s: %{y}<extra></extra>")
+    return chart.finished(HEIGHT, {"title": "from one exposure to the next / s", "rangemode": "tozero"}, "exposures")
 
 
 def time_spent(state_s: list[tuple[str, float]]) -> Figure:
     """Time of the run by state, (state, s)."""
     unit, per_unit = ("min", 60.0) if sum(seconds for _, seconds in state_s) > SHORT_S else ("s", 1.0)
-    figure = Figure()
-    for name, seconds in state_s:
-        figure.add_bar(
-            x=[seconds / per_unit],
-            y=["run"],
+    chart = Plot()
+    for state, seconds in state_s:
+        time, name = seconds / per_unit, state.translate(ESCAPES)
+        chart.bars(
+            [time],
+            ["run"],
             orientation="h",
-            name=f"{name} {seconds / per_unit:.1f} {unit}".translate(ESCAPES),
-            marker={"color": STATES.get(name, LINE)},
-            hovertemplate=f"{name.translate(ESCAPES)}: %{{x:.1f}} {unit}<extra></extra>",
+            name=f"{name} {time:.1f} {unit}",
+            colour=STATES.get(state, LINE),
+            hover=f"{name}: %{{x:.1f}} {unit}",
         )
-    figure.update_xaxes(title=f"time / {unit}")
-    figure.update_yaxes(visible=False)
-    figure = styled(figure, 170)
-    figure.update_layout(barmode="stack")
-    return figure
+    chart.finished(170, f"time / {unit}", {"visible": False})
+    chart.update_layout(barmode="stack")
+    return chart

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
@@ -21,18 +21,14 @@ def overview(kind: ArmTypeContent) -> Figure:
     shown = np.arange(len(kind.arms))
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
-    figure = Figure().add(
-        "heatmap",
-        z=ratio[shown],
-        x=[chart.title.translate(ESCAPES) for chart in kind.charts],
-        y=[kind.arms[a].translate(ESCAPES) for a in shown],
-        zmin=0,
-        zmax=2,
-        colorscale=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
-        colorbar={
+    chart = Plot().heatmap(
+        [chart.title.translate(ESCAPES) for chart in kind.charts],
+        [kind.arms[a].translate(ESCAPES) for a in shown],
+        ratio[shown],
+        ends=(0, 2),
+        colours=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
+        key={
             "title": {"text": "limits"},
-            "thickness": 12,
-            "outlinewidth": 0,
             "tickvals": [0, 1, 2],
             "ticktext": ["0", "1", "2 and more"],
             "lenmode": "pixels",
@@ -40,60 +36,54 @@ def overview(kind: ArmTypeContent) -> Figure:
             "y": 1,
             "yanchor": "top",
         },
-        xgap=1,
-        ygap=1,
-        hovertemplate="%{y}, %{x}: %{z:.2f} of the limit<extra></extra>",
+        hover="%{y}, %{x}: %{z:.2f} of the limit",
     )
-    figure.update_xaxes(tickangle=-60, tickfont={"size": 10}, showgrid=False, dtick=1)
-    figure.update_yaxes(autorange="reversed", title="arm", tickfont={"size": 10}, showgrid=False, dtick=1, type="category")
+    shared = {"tickfont": {"size": 10}, "showgrid": False, "dtick": 1}
     height = int(240 + 16 * len(shown))
-    figure.update_layout(meta={"narrow": {"height": height, "tick": 7, "angle": -90}})
-    return styled(figure, height)
+    chart.update_layout(meta={"narrow": {"height": height, "tick": 7, "angle": -90}})
+    return chart.finished(height, {"tickangle": -60, **shared}, {"autorange": "reversed", "title": "arm", "type": "category", **shared})
 
 
 def drift(kind: ArmTypeContent) -> Figure:
-    """Distance of each recording from the centre line of its arm over time; the figure is chosen from a list."""
+    """Distance of each recording from the centre line of its arm over time; the figure is chosen from a list. Arms that are far out are
+    named at their last recording."""
     times, title = _times(kind)
-    figure = Figure()
+    drawn = Plot()
     for k, chart in enumerate(kind.charts):
         order, gaps = _by_arm(chart.arm)
-        y, x = chart.deviation[order], [times[i] for i in order]
+        y, x, shown = chart.deviation[order], [times[i] for i in order], k == 0
         text = [f"{kind.arms[chart.arm[i]]}, {kind.recordings[i]}".translate(ESCAPES) for i in order]
-        figure.add_scatter(
-            x=_broken(x, gaps),
-            y=_broken(y.tolist(), gaps),
+        hover = "%{customdata}<br>%{x}: %{y:.4f}"
+        drawn.points(
+            _broken(x, gaps),
+            _broken(y.tolist(), gaps),
             customdata=_broken(text, gaps),
             mode="lines+markers",
             line={"color": GREY, "width": 0.7},
-            marker={"color": AFTER, "size": 5},
+            colour=AFTER,
+            size=5,
             name="recording",
-            visible=k == 0,
-            hovertemplate="%{customdata}<br>%{x}: %{y:.4f}<extra></extra>",
+            visible=shown,
+            hover=hover,
         )
         out = [j for j, i in enumerate(order) if chart.outside[i]]
-        figure.add_scatter(
-            x=[x[j] for j in out],
-            y=[float(y[j]) for j in out],
+        drawn.points(
+            [x[j] for j in out],
+            [float(y[j]) for j in out],
             customdata=[text[j] for j in out],
-            mode="markers",
-            marker={"color": LIMIT, "size": 9, "symbol": "diamond"},
+            colour=LIMIT,
+            size=9,
+            symbol="diamond",
             name="outside the limits",
-            visible=k == 0,
-            hovertemplate="%{customdata}<br>%{x}: %{y:.4f}<extra></extra>",
+            visible=shown,
+            hover=hover,
         )
         limit = float(np.nanmedian(chart.limit)) if np.isfinite(chart.limit).any() else np.nan
         ends = [min(times), max(times)] if times else []
-        figure.add_scatter(
-            x=[*ends, None, *ends],
-            y=[limit, limit, None, -limit, -limit],
-            mode="lines",
-            line={"color": LIMIT, "dash": "dash", "width": 1.4},
-            name="control limits",
-            visible=k == 0,
-            hoverinfo="skip",
-        )
+        across = {"colour": LIMIT, "dash": "dash", "width": 1.4, "name": "control limits"}
+        drawn.line([*ends, None, *ends], [limit, limit, None, -limit, -limit], **across, visible=shown, hover=None)
         named = _named_at_the_end(kind, chart, order)
-        figure.add_scatter(
+        drawn.add_scatter(
             x=[times[i] for i in named],
             y=[float(chart.deviation[i]) for i in named],
             text=[kind.arms[chart.arm[i]].translate(ESCAPES) for i in named],
@@ -101,64 +91,55 @@ def drift(kind: ArmTypeContent) -> Figure:
             textposition="top left",  # ends at the last recording, within the frame
             textfont={"size": 10, "color": LINE},
             showlegend=False,
-            visible=k == 0,
+            visible=shown,
             hoverinfo="skip",
         )
-    figure.update_xaxes(title=title, **_axis(times))
-    return _chosen(figure, kind, 4, "difference from the arm's centre line")
+    return _chosen(drawn, kind, 4, {"title": title, **_axis(times)}, "difference from the arm's centre line")
 
 
 def side_by_side(kind: ArmTypeContent) -> Figure:
     """Every recording of each arm, arms beside each other, with the range that is usual among them."""
-    figure = Figure()
+    drawn = Plot()
     names = [arm.translate(ESCAPES) for arm in kind.arms]
     for k, chart in enumerate(kind.charts):
         for unusual in (False, True):
-            here = chart.unusual[chart.arm] == unusual
-            figure.add_scatter(
-                x=[names[a] for a in chart.arm[here]],
-                y=chart.value[here],
+            here, mark = chart.unusual[chart.arm] == unusual, {"colour": AFTER, "size": 5}
+            drawn.points(
+                [names[a] for a in chart.arm[here]],
+                chart.value[here],
                 error_y={"type": "data", "array": 2 * chart.std[here], "thickness": 0.8, "width": 0},
                 text=[name.translate(ESCAPES) for name, mine in zip(kind.recordings, here, strict=True) if mine],
-                mode="markers",
-                marker={"color": LIMIT, "size": 8, "symbol": "diamond"} if unusual else {"color": AFTER, "size": 5},
+                **({"colour": LIMIT, "size": 8, "symbol": "diamond"} if unusual else mark),
                 name="arm outside of them" if unusual else "recording, ± k = 2",
                 visible=k == 0,
-                hovertemplate="%{x}, %{text}: %{y:.4f}<extra></extra>",
+                hover="%{x}, %{text}: %{y:.4f}",
             )
         low, high = chart.usual - chart.permitted, chart.usual + chart.permitted
         ends = [names[0], names[-1]]
-        figure.add_scatter(
-            x=[*ends, None, *ends, None, *ends],
-            y=[chart.usual, chart.usual, None, low, low, None, high, high],
-            mode="lines",
-            line={"color": LINE, "dash": "dash", "width": 1.2},
-            name="median of the arms and limits",
-            visible=k == 0,
-            hoverinfo="skip",
-        )
-    figure.update_xaxes(title="arm", type="category", categoryorder="array", categoryarray=names, tickangle=-60 if len(names) > 12 else 0)
-    return _chosen(figure, kind, 3, "value")
+        levels = [chart.usual, chart.usual, None, low, low, None, high, high]
+        across = {"colour": LINE, "dash": "dash", "width": 1.2, "name": "median of the arms and limits"}
+        drawn.line([*ends, None, *ends, None, *ends], levels, **across, visible=k == 0, hover=None)
+    x = {"title": "arm", "type": "category", "categoryorder": "array", "categoryarray": names, "tickangle": -60 if len(names) > 12 else 0}
+    return _chosen(drawn, kind, 3, x, "value")
 
 
-def _chosen(figure: Figure, kind: ArmTypeContent, traces: int, what: str) -> Figure:
-    """The figure with a list of the charts, of which one is shown at a time."""
-    total = traces * len(kind.charts)
+def _chosen(drawn: Plot, kind: ArmTypeContent, traces: int, x: dict[str, Any], what: str) -> Plot:
+    """The chart with a list of the figures, of which one is shown at a time."""
+    total, titles = traces * len(kind.charts), [f"{what} / {chart.unit}" for chart in kind.charts]
     buttons = [
         {
             "label": chart.title.translate(ESCAPES),
             "method": "update",
-            "args": [{"visible": [j // traces == k for j in range(total)]}, {"yaxis.title.text": f"{what} / {chart.unit}"}],
+            "args": [{"visible": [j // traces == k for j in range(total)]}, {"yaxis.title.text": title}],
         }
-        for k, chart in enumerate(kind.charts)
+        for k, (chart, title) in enumerate(zip(kind.charts, titles, strict=True))
     ]
-    figure = styled(figure, 420)
-    figure.update_layout(
+    drawn.finished(420, x, titles[0])
+    drawn.update_layout(
         updatemenus=[{"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.02, "yanchor": "bottom", "bgcolor": "#ffffff"}],
         margin={"l": 62, "r": 16, "t": 56, "b": 48},
     )
-    figure.update_yaxes(title=buttons[0]["args"][1]["yaxis.title.text"])
-    return figure
+    return drawn
 
 
 def _farthest(chart: FleetChart, arm: int) -> float:

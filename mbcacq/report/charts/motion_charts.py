@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.figure import Figure
 from mbcacq.model.channel_series import ChannelSeries
 from mbcacq.report.charts.diagnosis_charts import axis
-from mbcacq.report.charts.style import AFTER, BEFORE, styled
+from mbcacq.report.charts.style import AFTER, BEFORE, Plot
 
 MEASURED = "#777777"
 UPPER, LOWER = [0.483, 1.0], [0.0, 0.423]  # shares of the height
@@ -16,7 +16,7 @@ UPPER, LOWER = [0.483, 1.0], [0.0, 0.423]  # shares of the height
 def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> Figure:
     """Measured, model alone and with effects over time; below them the residuals, which have gaps where nothing is compared."""
     time = np.round(series.time_s, 4)
-    figure = Figure(layout={"xaxis2": {"anchor": "y2", "matches": "x"}, "yaxis2": {"anchor": "x2"}})
+    chart = Plot(layout={"xaxis2": {"anchor": "y2", "matches": "x"}, "yaxis2": {"anchor": "x2"}})
     lines = (
         ("measured", series.measured, MEASURED, 3.2, "solid", 1),
         ("model alone", series.before, BEFORE, 1.4, "dash", 1),
@@ -25,27 +25,27 @@ def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> Figure
         ("with effects", series.residual("after"), AFTER, 1.2, "solid", 2),
     )
     for name, values, colour, width, dash, row in lines:
-        figure.add_scatter(
-            x=time,
-            y=_short(values),
-            mode="lines",
+        chart.line(
+            time,
+            _short(values),
+            colour=colour,
+            width=width,
+            dash=dash,
             name=name,
             legendgroup=name,
             showlegend=row == 1,
-            line={"color": colour, "width": width, "dash": dash},
             connectgaps=False,
-            hovertemplate=f"{name}: %{{y:.4g}} {unit} at %{{x:.3f}} s<extra></extra>",
+            hover=f"{name}: %{{y:.4g}} {unit} at %{{x:.3f}} s",
             xaxis="x" if row == 1 else "x2",
             yaxis="y" if row == 1 else "y2",
         )
-    figure = styled(figure, 380)
-    figure.update_yaxes(zeroline=True, zerolinecolor="#bbbbbb")
-    layout = figure.layout
+    chart.finished(380, {}, {"zeroline": True, "zerolinecolor": "#bbbbbb"})
+    layout = chart.layout
     layout["xaxis"] |= {"showticklabels": False}
     layout["xaxis2"] |= {"title": {"text": "time / s"}}
     layout["yaxis"] |= {"title": {"text": axis(quantity, unit)}, "domain": UPPER}
     layout["yaxis2"] |= {"title": {"text": axis("residual", unit)}, "domain": LOWER}
-    return figure
+    return chart
 
 
 def _short(values: np.ndarray) -> list[float | None]:

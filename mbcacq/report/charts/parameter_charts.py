@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import ESCAPES, styled
+from mbcacq.report.charts.style import ESCAPES, Plot
 
 # RdBu of ColorBrewer; plotly.js calls another scale so
 RED_TO_BLUE = [
@@ -18,25 +18,10 @@ RED_TO_BLUE = [
 
 def correlation(names: list[str], matrix: np.ndarray) -> Figure:
     labels = [n.translate(ESCAPES) for n in names]
-    figure = Figure().add(
-        "heatmap",
-        z=matrix,
-        x=labels,
-        y=labels,
-        zmin=-1,
-        zmax=1,
-        colorscale=RED_TO_BLUE,
-        reversescale=True,
-        colorbar={"thickness": 12, "outlinewidth": 0},
-        xgap=0.5,
-        ygap=0.5,
-        hovertemplate="%{y} · %{x}: %{z:.3f}<extra></extra>",
+    chart = Plot().heatmap(
+        labels, labels, matrix, ends=(-1, 1), colours=RED_TO_BLUE, reversescale=True, key={}, gap=0.5, hover="%{y} · %{x}: %{z:.3f}"
     )
-    figure.update_xaxes(tickangle=-60, tickfont={"size": 9}, showgrid=False, dtick=1, title="parameter")
-    figure.update_yaxes(
-        autorange="reversed", title="parameter", tickfont={"size": 9}, showgrid=False, scaleanchor="x", constrain="domain", dtick=1
-    )
-    figure.update_xaxes(constrain="domain")
-    figure = styled(figure, 640)
-    figure.update_layout(meta={"narrow": {"height": 420, "tick": 6}})
-    return figure
+    shared = {"tickfont": {"size": 9}, "showgrid": False, "dtick": 1, "title": "parameter", "constrain": "domain"}
+    chart.finished(640, {"tickangle": -60, **shared}, {"autorange": "reversed", "scaleanchor": "x", **shared})
+    chart.update_layout(meta={"narrow": {"height": 420, "tick": 6}})
+    return chart

@@ -5,91 +5,59 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.charts.style import ESCAPES, PHASES, SYMBOLS, styled, thinned
+from mbcacq.report.charts.style import PHASES, SYMBOLS, Plot, by_phase, thinned
 from mbcacq.report.content import AccuracyGrid, Coverage
+
+SIDES = {1: "Y / mm, from above", 2: "Z / mm, from the side"}  # title of the vertical axis, by the axis of the base that it is
 
 
 def joint_coverage(data: Coverage) -> Figure:
     """Every pose on the range of each axis, of an arm that has joints."""
     assert data.q_deg is not None
     n = data.q_deg.shape[1]
-    figure = Figure()
+    chart = Plot()
     for i, limits in enumerate(() if data.limits_deg is None else data.limits_deg):
-        figure.add_scatter(
-            x=limits, y=[i + 1, i + 1], mode="lines", line={"color": "#e2e2e2", "width": 14}, showlegend=False, hoverinfo="skip"
-        )
-    for k, name in enumerate(dict.fromkeys(data.phase)):
-        mine = np.flatnonzero(data.phase == name)
+        chart.line(limits, [i + 1, i + 1], colour="#e2e2e2", width=14, showlegend=False, hover=None)
+    for k, name, mine in by_phase(data.phase):
         lift, colour = (k - 1) * 0.09, PHASES[k % len(PHASES)]
-        figure.add_scatter(
-            x=data.q_deg[mine].ravel(),
-            y=np.tile(np.arange(1, n + 1), len(mine)) + lift,
-            mode="markers",
-            name=str(name).translate(ESCAPES) or "all poses",
-            marker={"color": colour, "size": 8, "symbol": "line-ns", "line": {"width": 1.2, "color": colour}},
-            hovertemplate="%{x:.1f}°<extra></extra>",
-        )
-    figure.update_xaxes(title="joint angle / °")
-    figure.update_yaxes(
-        tickvals=list(range(1, n + 1)), ticktext=[f"A{i}" for i in range(1, n + 1)], autorange="reversed", showgrid=False, title="axis"
-    )
-    return styled(figure, 70 + 44 * n)
+        y = np.tile(np.arange(1, n + 1), np.count_nonzero(mine)) + lift
+        mark = {"colour": colour, "size": 8, "symbol": "line-ns", "edge": (1.2, colour)}
+        chart.points(data.q_deg[mine].ravel(), y, name=name, **mark, hover="%{x:.1f}°")
+    axes = {"tickvals": list(range(1, n + 1)), "ticktext": [f"A{i}" for i in range(1, n + 1)]}
+    return chart.finished(70 + 44 * n, "joint angle / °", {**axes, "autorange": "reversed", "showgrid": False, "title": "axis"})
 
 
 def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> Figure:
     """Where flange or balls were, xyz (k, 3) mm in the base with phase (k,) str, from above (axis 1) or from the side (axis 2)."""
-    figure = Figure()
-    names = list(dict.fromkeys(phase))
-    for name in sorted(names, key=lambda name: -np.count_nonzero(phase == name)):  # few points stand on many
-        k = names.index(name)
-        of_phase = xyz[phase == name]
+    chart = Plot()
+    for k, name, mine in sorted(by_phase(phase), key=lambda one: -np.count_nonzero(one[2])):  # few points stand on many
+        of_phase = xyz[mine]
         of_phase = of_phase[thinned(np.zeros(len(of_phase)))]
-        figure.add_scatter(
-            x=of_phase[:, 0],
-            y=of_phase[:, axis],
-            mode="markers",
-            name=str(name).translate(ESCAPES) or "all poses",
-            legendrank=k,
-            marker={
-                "color": PHASES[k % len(PHASES)],
-                "symbol": SYMBOLS[k % len(SYMBOLS)],
-                "size": 6,
-                "line": {"color": "#ffffff", "width": 0.6},
-            },
-            hovertemplate="%{x:.0f}, %{y:.0f} mm<extra></extra>",
-        )
-    add_base(figure)
-    figure.update_xaxes(title="X / mm")
-    figure.update_yaxes(title=("Y / mm, from above", "Z / mm, from the side")[axis - 1], scaleanchor="x")
-    return styled(figure, 400)
+        mark = {"colour": PHASES[k % len(PHASES)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 6, "edge": (0.6, "#ffffff")}
+        chart.points(of_phase[:, 0], of_phase[:, axis], name=name, legendrank=k, **mark, hover="%{x:.0f}, %{y:.0f} mm")
+    add_base(chart)
+    return chart.finished(400, "X / mm", {"title": SIDES[axis], "scaleanchor": "x"})
 
 
 def accuracy(data: AccuracyGrid, axis: int) -> Figure:
     """Expected accuracy, from above (axis 1) or from the side (axis 2): each field shows the rms of the cells behind each other."""
     x, y, z = _projected(data, axis)
     low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
-    figure = Figure().add(
-        "heatmap",
-        x=x,
-        y=y,
-        z=1e3 * z,
-        zmin=low,
-        zmax=max(top, low + 1e-9),
-        colorscale="Cividis",
+    chart = Plot().heatmap(
+        x,
+        y,
+        1e3 * z,
+        ends=(low, max(top, low + 1e-9)),
+        colours="Cividis",
         reversescale=True,
-        xgap=1,
-        ygap=1,
-        colorbar={"title": {"text": "µm"}, "thickness": 11, "outlinewidth": 0},
-        hovertemplate="%{x:.0f}, %{y:.0f} mm: %{z:.1f} µm<extra></extra>",
+        key={"title": {"text": "µm"}, "thickness": 11},
+        hover="%{x:.0f}, %{y:.0f} mm: %{z:.1f} µm",
     )
-    add_base(figure)
-    figure.update_xaxes(title="X / mm")
-    figure.update_yaxes(title=("Y / mm, from above", "Z / mm, from the side")[axis - 1], scaleanchor="x")
-    figure = styled(figure, 400)
-    figure.update_layout(showlegend=False)
-    figure.update_xaxes(constrain="domain", showgrid=False)
-    figure.update_yaxes(constrain="domain", showgrid=False)
-    return figure
+    add_base(chart)
+    within = {"constrain": "domain", "showgrid": False}
+    chart.finished(400, {"title": "X / mm", **within}, {"title": SIDES[axis], "scaleanchor": "x", **within})
+    chart.update_layout(showlegend=False)
+    return chart
 
 
 def _projected(data: AccuracyGrid, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,13 +69,6 @@ def _projected(data: AccuracyGrid, axis: int) -> tuple[np.ndarray, np.ndarray, n
     return x, y, np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan)
 
 
-def add_base(figure: Figure) -> None:
+def add_base(chart: Plot) -> None:
     """The foot of the robot."""
-    figure.add_scatter(
-        x=[0],
-        y=[0],
-        mode="markers",
-        name="robot base",
-        hoverinfo="skip",
-        marker={"color": "#222222", "symbol": "circle-x-open", "size": 13, "line": {"width": 2}},
-    )
+    chart.points([0], [0], name="robot base", colour="#222222", symbol="circle-x-open", size=13, edge=(2,), hover=None)
