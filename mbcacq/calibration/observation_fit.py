@@ -164,7 +164,8 @@ class ObservationFit:
 
     def shared_errors(self, observations: Observations) -> tuple[tuple[Term, np.ndarray], ...]:
         """The errors that the measurements of the recording share, as a term of other poses of it, with their estimates."""
-        found = [c for t, c in zip(self.options.terms, self.coefficients, strict=True) if t.name == SHARED]
+        # The coefficients of a discrepancy stand behind those of the terms that were asked for.
+        found = [c for t, c in zip(self.options.terms, self.coefficients, strict=False) if t.name == SHARED]
         return tuple(zip(shared_errors(observations), found, strict=False))
 
     def holds(self, observations: Observations) -> bool:
