@@ -24,6 +24,7 @@ def start(state: SensorState) -> None:
 
 def stop(state: SensorState) -> None:
     """Allowed in any state."""
+    state.catch_up()
     with state.lock:
         state.running = False
 
