@@ -15,7 +15,7 @@ from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
-from mbcacq.plan.schema import Look, Plan, Taught
+from mbcacq.plan.schema import Look, Plan, Sweep, Taught
 
 PLAN_FORMAT = "mbcacq-plan/1"
 ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits
@@ -184,12 +184,14 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
         if step.name in names:
             raise file.error((*where, "name"), f"step '{step.name}' exists already; give each step a name of its own")
         names.add(step.name)
-        wanted = {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look) else {("station",): step.station}
+        wanted = (
+            {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look | Sweep) else {("station",): step.station}
+        )
         for place, station in wanted.items():
             if str(station) not in artefact_of:
                 sentence = f"step '{step.name}' names a station '{station}' that the plan does not have (it has {', '.join(artefact_of)})"
                 raise file.error((*where, *place), f"{sentence}; name one of these, or add the station")
-        if isinstance(step, Look) and isinstance(step.balls, tuple):
+        if isinstance(step, Look | Sweep) and isinstance(step.balls, tuple):
             for station in step.stations:
                 _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)
         if isinstance(step, Taught):

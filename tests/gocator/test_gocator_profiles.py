@@ -77,6 +77,12 @@ class Ramp:
         return [np.column_stack([x, np.where(np.abs(x) < 3, np.nan, 1e-2 * (t - 100))]) for t in times]
 
 
+def taken_until_it_ends(driver):
+    for _ in range(100):
+        time.sleep(0.02)
+        driver.profiles()
+
+
 @pytest.fixture
 def stream():
     """A fake at 200 Hz, its world, and a driver of it that takes profiles."""
@@ -146,9 +152,7 @@ def test_a_sensor_that_begins_anew_or_goes_away_gives_no_profile_another_time(st
     before = driver.profiles()
     assert 0 < len(before) <= 101
     with pytest.raises(ConnectError):
-        for _ in range(50):
-            time.sleep(0.05)
-            driver.profiles()
+        taken_until_it_ends(driver)
 
 
 def test_jobs_that_stream_nothing_are_refused(fake):

@@ -20,6 +20,7 @@ def start(state: SensorState) -> None:
         if state.running:
             raise CommandRefused(INVALID_STATE)
         state.running = True
+    state.catch_up()
 
 
 def stop(state: SensorState) -> None:
