@@ -159,7 +159,7 @@ def adjust_in_motion(
 
 @dataclass(frozen=True)
 class Passes:
-    """Single ways over a sphere, each as a place of the sphere's centre at one moment: sensor time (G,) s, centre (G, 3) mm in the scanner
+    """Stretches of ways over a sphere, each as a place of the sphere's centre at one moment: sensor time (G,) s, centre (G, 3) mm in the scanner
     and its covariance (G, 3, 3), and the index (G,) of a profile of each."""
 
     time_s: np.ndarray
@@ -169,10 +169,10 @@ class Passes:
 
 
 def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion, group: np.ndarray) -> Passes:
-    """The profiles of each group (P,), one way of a sweep, together: they share what the arm is off by, as the balls of one scan do.
+    """The profiles of each group (P,), a stretch of one way, together: they share what the arm is off by, as the balls of one scan do.
 
-    The sphere moves in the scanner as the arm does, so all circles of a way say one place at its middle. What the hand-eye transform may
-    still be off by cancels in it, since the plane comes as far before the sphere's middle as behind.
+    The sphere moves in the scanner as the arm does, so all circles of a stretch say one place at its middle. What the hand-eye transform
+    may still be off by cancels in it.
     """
     rows, _, passing, s, _, known, by_place = _linearised(motion, seen, _Point(found.T_hand_eye, found.spheres, found.clock))
     V, _ = _covariances(seen, passing, by_place, np.array([found.clock.jitter_s**2, found.pose_sigma_mm**2]))
@@ -184,7 +184,7 @@ def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion,
             continue
         C = np.linalg.inv(np.einsum("pij,pik,pkl->jl", by_place[of], W[of], by_place[of]))
         off = -C @ np.einsum("pij,pik,pk->j", by_place[of], W[of], rows[of])
-        middle = of[np.argmin(np.abs(s[of, 1]))]  # where the plane meets the middle of the sphere
+        middle = of[np.argmin(np.abs(s[of, 1] - s[of, 1].mean()))]
         time.append(seen.time_s[middle])
         xyz.append(s[middle] + off)
         covariance.append(C)

@@ -109,7 +109,7 @@ def _start(cell: Cell, motion: FlangeMotion, seen: SeenSections, delay: float) -
 def _assembled(
     measured: Observations, found: ProfilesInMotion, motion: FlangeMotion, seen: SeenSections, swept: SweptBalls, at_pose: np.ndarray
 ) -> Observations:
-    """A pose for each way of a sweep, at the moment at which the laser plane met the middle of the ball."""
+    """A pose for each way of a sweep: what the arm is off by is the same all along it, and differs from the way back."""
     ways = passes_of(motion, seen, found, 2 * swept.sweep + (found.passing[:, 1] > 0))
     t, of = found.clock.controller_time(ways.time_s), at_pose[ways.profile]
     count, T = len(t), found.T_hand_eye
