@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
+from mbcacq.cli.operator import MotionOptions, moves_an_arm
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
@@ -21,32 +22,24 @@ if TYPE_CHECKING:
 @click.command("check")
 @click.argument("result", type=RunPath())
 @click.argument("plan", type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--history", type=click.Path(path_type=Path, dir_okay=False), help="File of all checks [default: check.json beside RESULT].")
 @click.option("--from", "measured", type=RunPath("check"), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
 @click.option("--poses", default=12, show_default=True, help="Number of poses, chosen at the first check.")
 @click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check, so its place is not judged.")
 @click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="Table of mbcacq fleet: how arms change from day to day.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the recording [default: runs/TIME_check-NAME].")
-@click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
-@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
-@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
-@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
+@moves_an_arm()
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as one JSON object on stdout.")
 def command(
     result: Path,
     plan: Path,
-    dry_run: bool,
     history: Path | None,
     measured: Path | None,
     poses: int,
     placed_anew: bool,
     fleet: Path | None,
     out: Path | None,
-    arm: bool,
-    step: bool,
-    yes: bool,
-    seed: int,
+    motion: MotionOptions,
     as_json: bool,
 ) -> None:
     """Repeat the few poses of PLAN that show most of what may have changed since RESULT: mastering, tool, mount, links, gears.
@@ -61,7 +54,6 @@ def command(
       mbcacq check calibrated/result.json my-cell.yaml --arm
     """
     import mbcacq
-    from mbcacq.cli.operator import operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
     from mbcacq.interim_check.check import CheckSettings
@@ -70,11 +62,8 @@ def command(
 
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = operator_at_terminal(
+    operator = motion.operator(
         steps,
-        arm=arm,
-        step=step,
-        yes=yes,
         began=lambda folder: on_failure(
             "where all poses were measured, judge them", command_line("check", result, plan, "--from", folder), folder / "run.rrd"
         ),
@@ -84,7 +73,14 @@ def command(
     settings = CheckSettings(poses, not placed_anew, days, out)
     with steps:
         done = mbcacq.check(
-            result, loaded, history=history, measured=measured, dry_run=dry_run, seed=seed, operator=operator, settings=settings
+            result,
+            loaded,
+            history=history,
+            measured=measured,
+            dry_run=motion.dry_run,
+            seed=motion.seed,
+            operator=operator,
+            settings=settings,
         )
     forget_failure()
     if as_json:
@@ -92,7 +88,7 @@ def command(
     else:
         for line in lines_of(done):
             echo(line)
-        say_next(*done.next_step(result, plan, dry_run))
+        say_next(*done.next_step(result, plan, motion.dry_run))
     done.refuse_changed()
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
+from mbcacq.cli.operator import MotionOptions, moves_an_arm
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 
 
 @click.command("investigate")
 @click.argument("plan", required=False, type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), metavar="FOLDER", help="Go on with this investigation; its decisions stand.")
 @click.option("--from", "recording", type=click.Path(path_type=Path), metavar="RUN", help="Begin with this finished run, and extend it.")
@@ -23,14 +23,12 @@ from mbcacq.cli.terminal import echo
 @click.option("--minutes", type=click.FloatRange(1), help="Longest duration, by the times that a plan takes for its poses and moves.")
 @click.option("--limit-mm", type=click.FloatRange(0.001), help="Error of length that matters; an effect below it need not be found.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
-@click.option("--arm", is_flag=True, help="A real arm may move, once speed, workspace and first target of every visit are typed.")
-@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
-@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
-@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell, and of the views to choose from.")
+@moves_an_arm(
+    confirmed="speed, workspace and first target of every visit are typed", drawn="the fake cell, and of the views to choose from"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the decisions and the result as one JSON object on stdout.")
 def command(
     plan: Path | None,
-    dry_run: bool,
     out: Path | None,
     resume: Path | None,
     recording: Path | None,
@@ -39,10 +37,7 @@ def command(
     minutes: float | None,
     limit_mm: float | None,
     live: bool,
-    arm: bool,
-    step: bool,
-    yes: bool,
-    seed: int,
+    motion: MotionOptions,
     as_json: bool,
 ) -> None:
     """Measure with PLAN's cell, weigh all explanations, choose the next visit of a station, and stop when the cell is known.
@@ -57,24 +52,29 @@ def command(
       mbcacq investigate --from runs/2026-11-21T10-00-00_my-cell --arm
     """
     import mbcacq
-    from mbcacq.cli.operator import as_before, operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
 
     end_in_order_on_signals()
     steps = StepProgress()
-    same = as_before(dry_run=dry_run, seed=seed, arm=arm, step=step, yes=yes)
-    operator = operator_at_terminal(
+    operator = motion.operator(
         steps,
-        arm=arm,
-        step=step,
-        yes=yes,
-        began=lambda folder: on_failure("go on where it ended", command_line("investigate", *same, "--resume", folder), folder / "run.rrd"),
+        began=lambda folder: on_failure(
+            "go on where it ended", command_line("investigate", *motion.repeated, "--resume", folder), folder / "run.rrd"
+        ),
     )
     budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:
         going = mbcacq.investigate(
-            plan, budget, out=out, resume=resume, recording=recording, dry_run=dry_run, seed=seed, live=live, operator=operator
+            plan,
+            budget,
+            out=out,
+            resume=resume,
+            recording=recording,
+            dry_run=motion.dry_run,
+            seed=motion.seed,
+            live=live,
+            operator=operator,
         )
         for decision in going:
             steps.begin("")

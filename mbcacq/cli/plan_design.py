@@ -111,18 +111,8 @@ def design(
     if sentence := scope_sentence(new, poses):
         echo(sentence, err=True)
     if as_json:
-        echo(
-            json.dumps(
-                {
-                    "format": "mbcacq-plan-design/1",
-                    "plan": str(target),
-                    "tried": result.tried,
-                    "criterion": criterion,
-                    "given": rows[0],
-                    "designed": rows[1],
-                }
-            )
-        )
+        how = {"plan": str(target), "tried": result.tried, "criterion": criterion}
+        echo(json.dumps({"format": "mbcacq-plan-design/1", **how, "given": rows[0], "designed": rows[1]}))
         return
     _print_comparison(rows)
     echo(f"chosen from {result.tried} views that can be taken; written to {target}")

@@ -37,24 +37,10 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
         steps.begin("reading what is whole")
         found = recover(recording)
     if as_json:
-        echo(
-            json.dumps(
-                {
-                    "format": "mbcacq-recovery/1",
-                    "recordings": [
-                        {
-                            "source": str(item.source),
-                            "output": str(item.output),
-                            "damaged": item.damaged,
-                            "poses": item.poses,
-                            "cycles": item.cycles,
-                            "complete": item.complete,
-                        }
-                        for item in found
-                    ],
-                }
-            )
-        )
+        from mbcacq.model.json_text import fields_as_json
+
+        recordings = [fields_as_json(item) | {"damaged": item.damaged} for item in found]
+        echo(json.dumps({"format": "mbcacq-recovery/1", "recordings": recordings}))
         return
     for item in found:
         content = f"{item.poses} finished poses, {item.cycles} controller cycles"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
+from mbcacq.cli.operator import MotionOptions, moves_an_arm
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo, printable
@@ -20,31 +21,23 @@ if TYPE_CHECKING:
 
 @click.command("run")
 @click.argument("plan", required=False, type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=RunPath(), metavar="RUN", help="Go on with this run folder: poses already measured are skipped.")
 @click.option("--extend", type=RunPath(), metavar="RUN", help="Add the poses of PLAN to this finished run, at its own stations.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
-@click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
 @click.option("--corrected", type=RunPath(), metavar="RESULT", help="Steer by this calibrated arm: result.json, or folder of a run.")
-@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
-@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
-@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
+@moves_an_arm()
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(
     plan: Path | None,
-    dry_run: bool,
     out: Path | None,
     resume: Path | None,
     extend: Path | None,
     live: bool,
     again: bool,
-    arm: bool,
     corrected: Path | None,
-    step: bool,
-    yes: bool,
-    seed: int,
+    motion: MotionOptions,
     as_json: bool,
 ) -> None:
     """Execute PLAN, record it, calibrate the cell and show how good it became.
@@ -62,7 +55,6 @@ def command(
       mbcacq run next.yaml --arm --extend runs/2026-11-21T10-00-00_my-cell
     """
     import mbcacq
-    from mbcacq.cli.operator import as_before, operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
 
@@ -70,31 +62,29 @@ def command(
     if extend is not None and (resume is not None or out is not None or again):
         raise click.UsageError("--extend goes on in the folder of a finished run; leave --resume, --out and --again out")
     to_run = plan_of(resume) if plan is None else plan
-    same = as_before(dry_run=dry_run, seed=seed, arm=arm, step=step, yes=yes)
     steps = StepProgress()
-    operator = operator_at_terminal(
+    operator = motion.operator(
         steps,
-        arm=arm,
-        step=step,
-        yes=yes,
-        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder), folder / "run.rrd"),
-        artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
+        began=lambda folder: on_failure(
+            "go on where it ended", command_line("run", *motion.repeated, "--resume", folder), folder / "run.rrd"
+        ),
+        artefact_moved=lambda station: False if motion.dry_run or motion.yes else ask_whether_moved(station),
     )
     with steps:
         if extend is None:
             done = mbcacq.run(
                 to_run,
-                dry_run=dry_run,
+                dry_run=motion.dry_run,
                 out=out,
                 resume=resume,
                 measure_again=again,
                 live=live,
-                seed=seed,
+                seed=motion.seed,
                 operator=operator,
                 corrected=corrected,
             )
         else:
-            done = mbcacq.extend(extend, to_run, dry_run=dry_run, live=live, seed=seed, operator=operator)
+            done = mbcacq.extend(extend, to_run, dry_run=motion.dry_run, live=live, seed=motion.seed, operator=operator)
     forget_failure()
     if as_json:
         echo(json.dumps(done.to_dict()))

@@ -82,7 +82,7 @@ class ArmType:
     charts: tuple[ControlChart, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Outlier:
     """A figure of a recording (or, ``recording`` None, of an arm) outside the limits; in mm or rad. drift: from an arm's first recording
     to its last, instead of a level.
@@ -194,27 +194,11 @@ def outliers(types: Sequence[ArmType]) -> list[Outlier]:
     """
     out = []
     for kind in types:
-        out += [
-            Outlier(arm=d.arm, recording=None, name=d.name, value=d.change, centre=0.0, limit=d.limit, drift=True)
-            for d in drifts(kind.rows)
-        ]
+        out += [Outlier(d.arm, None, d.name, d.change, 0.0, d.limit, drift=True) for d in drifts(kind.rows)]
         for chart in kind.charts:
             for k in np.flatnonzero(chart.outside):
                 value, centre, limit = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))
-                out.append(
-                    Outlier(
-                        arm=kind.rows[k].arm, recording=kind.rows[k].recording, name=chart.name, value=value, centre=centre, limit=limit
-                    )
-                )
+                out.append(Outlier(kind.rows[k].arm, kind.rows[k].recording, chart.name, value, centre, limit))
             for a in np.flatnonzero(chart.unusual):
-                out.append(
-                    Outlier(
-                        arm=chart.arms[a],
-                        recording=None,
-                        name=chart.name,
-                        value=float(chart.arm_value[a]),
-                        centre=chart.usual,
-                        limit=float(chart.arm_limit[a]),
-                    )
-                )
+                out.append(Outlier(chart.arms[a], None, chart.name, float(chart.arm_value[a]), chart.usual, float(chart.arm_limit[a])))
     return sorted(out, key=lambda o: -abs(o.value - o.centre) / o.limit if o.limit > 0 else -np.inf)

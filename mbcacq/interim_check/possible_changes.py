@@ -22,7 +22,7 @@ TWIST = ("x", "y", "z", "rx", "ry", "rz")
 LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at all
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PossibleChange:
     """Something that may have changed.
 
@@ -77,20 +77,16 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
+def joint_columns(state: CellState, prediction: Prediction) -> np.ndarray:
+    """(M, R, n): by the zero of each joint."""
+    return prediction.by_twists(state.chain.joint_twists(prediction.frames))
+
+
 def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))
+    J = joint_columns(state, prediction)
     usual = np.array([OPTIONS.mastering])
-    return [
-        PossibleChange(
-            name="mastering",
-            where=f"A{j + 1}",
-            parameters=(f"A{j + 1} zero",),
-            units=("rad",),
-            usual=usual,
-            columns=rows_of(J[:, :, j : j + 1] * OPTIONS.mastering),
-        )
-        for j in range(state.chain.n)
-    ]
+    axes = [(f"A{j + 1}", rows_of(J[:, :, j : j + 1] * usual)) for j in range(state.chain.n)]
+    return [PossibleChange("mastering", axis, (f"{axis} zero",), ("rad",), usual, columns) for axis, columns in axes]
 
 
 def twist_columns(obs: Observations, prediction: Prediction, place: str, index: int) -> np.ndarray:
@@ -108,7 +104,7 @@ def _moved(name: str, where: str, columns: np.ndarray, mm: float, rad: float) ->
     """A change of a frame's place, by its columns (M, R, 6); mm, rad: usual sizes."""
     usual = np.repeat([mm, rad], 3)
     units = ("mm",) * 3 + ("rad",) * 3
-    return PossibleChange(name=name, where=where, parameters=TWIST, units=units, usual=usual, columns=rows_of(columns * usual))
+    return PossibleChange(name, where, TWIST, units, usual, rows_of(columns * usual))
 
 
 def _mount(obs: Observations, prediction: Prediction) -> PossibleChange:
@@ -126,22 +122,11 @@ def _artefacts(obs: Observations, prediction: Prediction) -> list[PossibleChange
 def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     """Each link by itself: its length, offset and twist."""
     twists = state.chain.parameter_twists(prediction.frames, obs.q)
-    out = []
-    chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
+    chosen, units = ("d", "a", "alpha"), ("mm", "mm", "rad")
+    at = [PARAMETERS.index(p) for p in chosen]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
-    for i in range(state.chain.n):
-        columns = prediction.by_twists(twists[:, i, chosen]) * usual
-        out.append(
-            PossibleChange(
-                name="link",
-                where=f"link {i + 1}",
-                parameters=("d", "a", "alpha"),
-                units=("mm", "mm", "rad"),
-                usual=usual,
-                columns=rows_of(columns),
-            )
-        )
-    return out
+    each = [rows_of(prediction.by_twists(twists[:, i, at]) * usual) for i in range(state.chain.n)]
+    return [PossibleChange("link", f"link {i}", chosen, units, usual, columns) for i, columns in enumerate(each, 1)]
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
@@ -157,15 +142,8 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> 
             one = terms.term(candidate.name, parts_of(candidate, context, hyper))
             columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
-            names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
-            change = PossibleChange(
-                name=candidate.name,
-                where="+".join(candidate.where) + what,
-                parameters=names,
-                units=("",) * candidate.k,
-                usual=candidate.typical,
-                columns=columns,
-            )
+            names, where = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k)), "+".join(candidate.where) + what
+            change = PossibleChange(candidate.name, where, names, ("",) * candidate.k, candidate.typical, columns)
             out.append(change)
             if len(candidate.where) == 1:
                 together.setdefault((candidate.name, candidate.variant, number), []).append(change)
@@ -176,51 +154,34 @@ def _together(several: list[PossibleChange]) -> PossibleChange:
     """One effect at all of its places, each with coefficients of its own: gears wear together."""
     columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
     parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
-    what = several[0].where.partition(",")
-    return PossibleChange(
-        name=several[0].name,
-        where=f"several places{what[1]}{what[2]}",
-        parameters=parameters,
-        units=("",) * len(usual),
-        usual=usual,
-        columns=columns,
-    )
+    _, comma, hyper = several[0].where.partition(",")
+    return PossibleChange(several[0].name, f"several places{comma}{hyper}", parameters, ("",) * len(usual), usual, columns)
 
 
 def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
-    J = prediction.by_twists(context.state.chain.joint_twists(prediction.frames))
+    J = joint_columns(context.state, prediction)
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
     usual = OPTIONS.tool_kg * OPTIONS.elastic
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
     shown = np.abs(columns).max(axis=0) > LEAST
     parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
-    return [
-        PossibleChange(
-            name="tool",
-            where="its weight",
-            parameters=parameters,
-            units=("",) * len(parameters),
-            usual=np.full(len(parameters), usual),
-            columns=columns[:, shown],
-        )
-    ]
+    count = len(parameters)
+    return [PossibleChange("tool", "its weight", parameters, ("",) * count, np.full(count, usual), columns[:, shown])]
 
 
 def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
+    J = joint_columns(state, prediction) * OPTIONS.unnamed
     n = J.shape[2]
     k = obs.n_poses * n
     columns = np.zeros((J.shape[0], J.shape[1], k))
     for p in range(obs.n_poses):
         here = obs.pose == p
         columns[here, :, p * n : (p + 1) * n] = J[here]
-    return PossibleChange(
-        name=UNNAMED, where="the arm", parameters=("",) * k, units=("rad",) * k, usual=np.full(k, OPTIONS.unnamed), columns=rows_of(columns)
-    )
+    return PossibleChange(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, OPTIONS.unnamed), rows_of(columns))
 
 
 def _unnamed_centres(obs: Observations) -> PossibleChange:
@@ -228,15 +189,8 @@ def _unnamed_centres(obs: Observations) -> PossibleChange:
 
     Without it the null would take such a change for a larger noise, which it repeats from day to day and so is not.
     """
-    k = 3 * obs.n_centres
-    return PossibleChange(
-        name=UNNAMED,
-        where=SCANNER,
-        parameters=("",) * k,
-        units=("mm",) * k,
-        usual=np.full(k, OPTIONS.unnamed_mm),
-        columns=OPTIONS.unnamed_mm * np.eye(k),
-    )
+    k, usual = 3 * obs.n_centres, OPTIONS.unnamed_mm
+    return PossibleChange(UNNAMED, SCANNER, ("",) * k, ("mm",) * k, np.full(k, usual), usual * np.eye(k))
 
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:

@@ -71,6 +71,9 @@ class InJson:
         return core_schema.no_info_after_validator_function(self.read, handler.generate_schema(self.kind), serialization=writes)
 
 
+FilePath = Annotated[Path, InJson(str, Path, str)]
+
+
 class EveryKey:
     """Base of a dataclass of which a file holds every field, also one that has a default in Python. No field may be missing there, with two
     exceptions: those in ``left_out`` are not written where they have their default, and older files of the format lack those in ``later``.

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import platform
 import re
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -94,6 +94,35 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
     return replace(loaded.cell, stations=stations, noise_mm=None)
 
 
+@contextmanager
+def recorded(
+    folder: Path,
+    loaded: LoadedPlan,
+    plan_files: str,
+    subscribers: Iterable[Subscriber],
+    *,
+    part: int = 0,
+    message: Callable[[str], None] = lambda sentence: None,
+    **shown: Any,
+) -> Iterator[EventBus]:
+    """The bus of a run whose events are recorded in its folder, with the plan. shown: as ``Recorder`` takes it. The parts of a resumed run
+    become one recording at its end."""
+    from mbcacq.recording.rrd.writer import Recorder
+    from mbcacq.recording.run_folder.journal import Journal
+    from mbcacq.recording.run_folder.recovery import WHOLE
+    from mbcacq.recording.run_folder.run_plan import keep_plan
+
+    (folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
+    keep_plan(folder, loaded.text, plan_files)
+    recorder = Recorder(folder, part=part, all_points=loaded.plan.scanner.keep_clouds == "all", **shown)
+    with closing(recorder), Journal(folder) as journal:
+        if recorder.live_url:
+            message(f"watch it live: rerun {recorder.live_url}")
+        yield EventBus([recorder, journal, *subscribers])
+    if part:
+        merge_parts(folder, message)
+
+
 @dataclass(kw_only=True)
 class Acquisition:
     """A checked path to execute, and the folder of its recording.
@@ -151,10 +180,8 @@ class Acquisition:
         """
         from mbcacq.plan.routing import check_start
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
-        from mbcacq.recording.rrd.writer import Recorder
-        from mbcacq.recording.run_folder.journal import Journal, recorded_facts
-        from mbcacq.recording.run_folder.recovery import WHOLE
-        from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
+        from mbcacq.recording.run_folder.journal import recorded_facts
+        from mbcacq.recording.run_folder.run_plan import plan_files_text
         from mbcacq.spheres import SphereOptions, find_spheres
         from mbcacq.workflow.change_watch import ChangeWatch
 
@@ -163,22 +190,11 @@ class Acquisition:
             if self.loaded.plan.robot.follow is None:  # else nothing is moved from there
                 check_start(self.loaded, q)
 
-        (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
         steered = None if self.corrected is None else fields_as_json(self.corrected)
         plan_files = plan_files_text(self.loaded.files, self.cell, self.kind, self.loaded.path, steered, self.loaded.grown_from)
-        keep_plan(self.folder, self.loaded.text, plan_files)
-        with (
-            closing(
-                Recorder(
-                    self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all", weighed=self.weighed
-                )
-            ) as recorder,
-            closing(Journal(self.folder)) as journal,
-        ):
-            if recorder.live_url:
-                message(f"watch it live: rerun {recorder.live_url}")
-            bus = EventBus([recorder, journal, *subscribers])
+        shown = {"live": live, "weighed": self.weighed}
+        with recorded(self.folder, self.loaded, plan_files, subscribers, part=self.part, message=message, **shown) as bus:
             bus.subscribe(ChangeWatch(solver_cell(self.loaded), bus))
             Runner(
                 loaded=self.loaded,
@@ -198,5 +214,3 @@ class Acquisition:
                 plan_files=plan_files,
                 facts=recorded_facts(self.folder) if self.done else {},
             ).run()
-        if self.part:
-            merge_parts(self.folder, message)

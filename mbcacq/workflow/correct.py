@@ -14,7 +14,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
-from mbcacq.model.json_text import AsJson, InJson, keyed
+from mbcacq.model.json_text import AsJson, FilePath, keyed
 from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
@@ -85,7 +85,7 @@ class Correction(_Remarks, AsJson):
     """One file."""
 
     format: Literal["mbcacq-correction/1"] = "mbcacq-correction/1"
-    file: Annotated[Path, InJson(str, Path, str)]
+    file: FilePath
     points: tuple[CorrectedPoint, ...]
 
 

@@ -24,7 +24,7 @@ from mbcacq.recording.datasets import merge
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
 from mbcacq.recording.datasets.trajectory_set import read_motion, read_trajectory_set
-from mbcacq.workflow.collect import _slots
+from mbcacq.workflow.cloud_session import _slots
 from mbcacq.workflow.joint_log import read_joint_log
 from mbcacq.workflow.robot_program import plan_digest
 

@@ -13,6 +13,7 @@ from test_correct import arm, goals_of, result
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
+from mbcacq.exports.programs import program as programs
 from mbcacq.exports.programs import rapid, read_program
 from mbcacq.workflow.correct import correct
 
@@ -253,7 +254,7 @@ def test_names_of_a_rapid_statement_are_compared_once_each(monkeypatch):
 
     def comparisons(names):
         tree = SimpleNamespace(children=[Compared(f"n{k}") for k in range(names)])
-        monkeypatch.setattr(rapid, "statement_parser", lambda grammar: SimpleNamespace(parse=lambda code: tree))
+        monkeypatch.setattr(programs, "statement_parser", lambda grammar: SimpleNamespace(parse=lambda code: tree))
         Compared.count = 0
         rapid._RapidStatements().statement(0, "", lambda place: 1)
         return Compared.count

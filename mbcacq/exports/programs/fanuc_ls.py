@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, statement_parser
+from mbcacq.exports.programs.program import DEGREES, LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, kind, statement_parser
 
 STATEMENT = r"""
 start: [SIGNED] ":" _any*
@@ -43,7 +43,6 @@ MOTIONS = ("J", "L", "C", "A", "S")
 MOVED = re.compile(r"offset|^lock|^pallet", re.IGNORECASE)
 _SECTION = re.compile(r"^/(MN|POS|END|PROG|ATTR|APPL)\b.*$", re.MULTILINE)
 _REMARK = re.compile(r"\s*(\d+\s*)?:\s*(!|//)")
-DEGREES = float(np.pi / 180)
 
 
 def read(text: str, n: int) -> RobotProgram:
@@ -78,9 +77,9 @@ def _position(
 ) -> None:
     key = str(int(position.children[0]))
     line = line_of(begin + position.children[0].start_pos)
-    labels = [str(c).strip("'\"") for c in position.children[1:] if getattr(c, "type", "") == "STRING"]
+    labels = [str(c).strip("'\"") for c in position.children[1:] if kind(c) == "STRING"]
     name = f"P[{key}{':' + labels[0] if labels else ''}]"
-    groups = [g for g in position.children if getattr(g, "data", "") == "group" and str(g.children[0]) == "GP1"]
+    groups = [g for g in position.children if kind(g) == "group" and str(g.children[0]) == "GP1"]
     fields = {str(f.children[0]).upper(): f.children[1] for g in groups for f in g.children[1:]}
     values = [fields.get(f"J{i + 1}") for i in range(n)]
     if any(value is None for value in values):
@@ -117,13 +116,13 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
             for key in re.findall(r"\bP\[\s*(\d+)", statement):
                 out.setdefault(str(int(key)), Uses()).otherwise.append(number)
             continue
-        words = [str(c) for c in tree.children if getattr(c, "type", "") == "NAME"]
+        words = [str(c) for c in tree.children if kind(c) == "NAME"]
         motion = bool(words) and (words[0] in MOTIONS or not _numbered(tree))
         relative = any(w.upper().startswith("INC") for w in words)
         moved = any(MOVED.search(w) for w in words)
         for indexed in (t for t in tree.iter_subtrees() if t.data == "indexed" and str(t.children[0]) == "P"):
             first = indexed.children[1] if len(indexed.children) > 1 else None
-            numbered = getattr(first, "type", "") == "SIGNED" and str(first).isdecimal()
+            numbered = kind(first) == "SIGNED" and str(first).isdecimal()
             uses = out.setdefault(str(int(str(first))), Uses()) if numbered else everything
             target = uses.relative if relative else uses.otherwise if moved or not motion else uses.absolute
             target.append(number)
@@ -149,4 +148,4 @@ class _Either(dict[str, Uses]):
 
 def _numbered(tree: Any) -> bool:
     """Whether the statement begins with the number of its line; the end point of a circle does not."""
-    return bool(tree.children) and getattr(tree.children[0], "type", "") == "SIGNED"
+    return bool(tree.children) and kind(tree.children[0]) == "SIGNED"

@@ -6,9 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in, statement_parser
+from mbcacq.exports.programs.program import DEGREES, LeftAlone, RobotProgram, Statements, kind, lines, names_in
 
 GRAMMAR = r"""
 start: (motion | _any+)?
@@ -46,43 +44,39 @@ POSE_REASON = "is a pose, whose joints are the controller's choice"
 OTHER = "is no place"
 _DATA = re.compile(r"\s*(?:GLOBAL\s+)?DEFDAT\s+[\w$]", re.IGNORECASE)
 _MOVES = re.compile(r"\bS?(?:PTP|LIN|CIRC)(?:_REL)?\b", re.IGNORECASE)
-_WORD = re.compile(r"[$A-Za-z_][\w$]*")
 _INLINE_FORM = re.compile(r"x", re.IGNORECASE)  # the controller's forms call the coordinates of point P1 XP1
 
 
-class _KrlStatements:
-    """What the lines of a program hold. points: coordinates of all axes, by variable or '' for those in a motion itself."""
+class _KrlStatements(Statements):
+    grammar, comment, word = GRAMMAR, ";", re.compile(r"[$A-Za-z_][\w$]*")
+    doubtful = re.compile(r"\{.*\bA1\s|\bA1\s.*\{", re.IGNORECASE)
 
-    def __init__(self, n: int) -> None:
-        self.n = n
-        self.uses = Variables()
-        self.points: list[tuple[str, str, ProgrammedPoint]] = []  # variable, reason that is known already, point
-        self.left: list[LeftAlone] = []
+    def __init__(self, n: int, text: str) -> None:
+        super().__init__(n)
         self.frames: list[tuple[str, str, int]] = []  # variable, name, line
         self.targets: dict[str, int] = {}  # variables that motions go to, and the first line
         self.assigned = set[str]()
+        self.by_name = False  # no program says what the points of a data list are for
+        for number, at, code in lines(text):
+            if not (code.startswith("&") or _DATA.match(code)):
+                self._line(number, at, code)
 
-    def line(self, number: int, at: int, code: str) -> None:
-        from lark.exceptions import LarkError
+    def reason(self, variable: str) -> str:
+        uses = self.uses[variable]
+        if self.by_name and not uses.otherwise:
+            uses.absolute.append(0)
+            return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "is a target of no known program, by its name")
+        return uses.reason(variable)
 
-        if code.startswith("&") or _DATA.match(code):
-            return
-        try:
-            tree = statement_parser(GRAMMAR).parse(code)
-        except LarkError:
-            plain = code.split(";", 1)[0]
-            for word in _WORD.findall(plain):
-                self.uses[word.lower()].otherwise.append(number)
-            if "{" in plain and re.search(r"\bA1\s", plain, re.IGNORECASE):
-                self.left.append((f"line {number}", number, "is a line that is not understood"))
-            return
-        declared = bool(tree.children) and next(iter(names_in(tree.children[0])), "") in DECLARING
-        for child in tree.children:
-            if declared and getattr(child, "data", "") == "variable":
+    def _line(self, number: int, at: int, code: str) -> None:
+        pieces = self.parsed(code, number)
+        declared = bool(pieces) and next(iter(names_in(pieces[0])), "") in DECLARING
+        for child in pieces:
+            if declared and kind(child) == "variable":
                 continue  # a declaration says what there is and uses nothing
-            if getattr(child, "data", "") == "motion":
+            if kind(child) == "motion":
                 self._motion(child, number, at)
-            elif getattr(child, "data", "") == "assignment":
+            elif kind(child) == "assignment":
                 self._assignment(child, number, at)
             else:
                 self._other(child, number, at)
@@ -97,21 +91,20 @@ class _KrlStatements:
                 continue
             first, more = group.children[0], group.children[1:]
             approximated = all(str(name).lower().startswith("c_") for part in more for name in names_in(part)) and all(
-                getattr(part, "data", "") == "variable" or getattr(part, "type", "") == "ENUM" for part in more
+                kind(part) == "variable" or kind(part) == "ENUM" for part in more
             )  # C_PTP; #BASE and #TOOL of relative motions
-            kind = getattr(first, "data", "")
-            if kind == "aggregate":
+            if kind(first) == "aggregate":
                 why = "" if approximated else "is part of an expression"
                 before = len(self.points) + len(self.left)
                 self._coordinates("", f"line {number}", f"is the increment of {word}" if relative else why, first, number, at)
                 if len(self.points) + len(self.left) == before:
                     self.left.append((f"line {number}", number, f"is the increment of {word}" if relative else POSE_REASON))
-            elif kind == "variable" and approximated:
+            elif kind(first) == "variable" and approximated:
                 name = str(first.children[0]).lower()
                 (self.uses[name].relative if relative else self.uses[name].absolute).append(number)
                 if not relative:
                     self.targets.setdefault(name, number)
-                if len(first.children) > 1 and getattr(first.children[1], "data", "") != "index":
+                if len(first.children) > 1 and kind(first.children[1]) != "index":
                     self.uses[name].otherwise.append(number)
             else:
                 for part in group.children:
@@ -124,8 +117,8 @@ class _KrlStatements:
         for part in variable.children[1:]:
             for inner in names_in(part):
                 self.uses[inner].otherwise.append(number)
-        whole = len(variable.children) == 1 or (len(variable.children) == 2 and getattr(variable.children[1], "data", "") == "index")
-        if getattr(value, "data", "") == "aggregate" and whole:
+        whole = len(variable.children) == 1 or (len(variable.children) == 2 and kind(variable.children[1]) == "index")
+        if kind(value) == "aggregate" and whole:
             label = "".join(str(t) for t in variable.scan_values(lambda _: True)) if len(variable.children) == 1 else name
             self._coordinates(name.lower(), label, "", value, number, at)
             return
@@ -138,25 +131,25 @@ class _KrlStatements:
             self.uses[name].otherwise.append(number)
         inside = [part] if not hasattr(part, "iter_subtrees") else [*part.iter_subtrees(), *part.scan_values(lambda t: t.type == "STRING")]
         for piece in inside:
-            if getattr(piece, "data", "") == "aggregate":
+            if kind(piece) == "aggregate":
                 self._coordinates("", f"line {number}", "is no target of a motion", piece, number, at)
-            elif getattr(piece, "type", "") == "STRING" and re.search(r"\{[^{}]*\bA1\s", str(piece), re.IGNORECASE):
+            elif kind(piece) == "STRING" and re.search(r"\{[^{}]*\bA1\s", str(piece), re.IGNORECASE):
                 self.left.append((f"line {number}", number, "is text in a string"))
 
     def _coordinates(self, variable: str, name: str, reason: str, aggregate: Any, number: int, at: int) -> None:
-        fields: dict[str, tuple[int, str]] = {}  # place and text of what may be a number
+        fields: dict[str, Any] = {}  # the token of what may be a number
         for f in aggregate.children:
             if f.data != "field":
                 continue
             token, value = f.children[0], f.children[-1]
             if token.type == "NUMBERED":
                 word, text = str(token).split()
-                fields[word.lower()] = token.end_pos - len(text), text
-            elif getattr(value.children[0], "data", "") == "aggregate":
+                fields[word.lower()] = token.update(value=text)
+                fields[word.lower()].start_pos = token.end_pos - len(text)
+            elif kind(value.children[0]) == "aggregate":
                 self._coordinates("", name, "is part of a structure", value.children[0], number, at)
             elif len(f.children) == 2:
-                single, plain = value.children[0], len(value.children) == 1 and getattr(value.children[0], "type", "") == "SIGNED"
-                fields[str(token).lower()] = getattr(single, "start_pos", 0), str(single) if plain else ""
+                fields[str(token).lower()] = value.children[0] if len(value.children) == 1 else None
         wanted = [f"a{i + 1}" for i in range(self.n)]
         if why := _no_joint_target(aggregate, fields, wanted):
             if why != OTHER:
@@ -165,12 +158,10 @@ class _KrlStatements:
                 self.frames.append((variable, name, number))
             return
         found = [fields[key] for key in wanted]
-        if not all(text and text[0] != "'" for _, text in found):
+        if not all(kind(token) in ("SIGNED", "NUMBERED") and token[0] != "'" for token in found):
             self.left.append((name, number, reason or "has angles that are computed"))
             return
-        spans = tuple((at + place, at + place + len(text)) for place, text in found)
-        angles = np.radians([float(text) for _, text in found])
-        self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * self.n)))
+        self.point(variable, name, number, at, [(token, DEGREES) for token in found], reason)
 
 
 def _no_joint_target(aggregate: Any, fields: Mapping[str, Any], wanted: Sequence[str]) -> str:
@@ -187,45 +178,19 @@ def _no_joint_target(aggregate: Any, fields: Mapping[str, Any], wanted: Sequence
 
 def read(text: str, n: int, programs: Iterable[str] = ()) -> RobotProgram:
     """The points of a program for an arm of n axes. programs: texts of those that use a data list (.dat)."""
-    found = _KrlStatements(n)
-    for number, at, line in lines(text):
-        found.line(number, at, line)
+    found = _KrlStatements(n, text)
     data = any(_DATA.match(line) for _, _, line in lines(text))
     users = [program for program in programs if data]
     for program in users:
-        there = _KrlStatements(n)
-        for number, at, line in lines(program):
-            there.line(number, at, line)
-        found.uses.add(there.uses)
-    by_name = data and not users and not _MOVES.search(text)
-    points, left = [], list(found.left)
-    for variable, known, point in found.points:
-        reason = known or _reason(variable, found, by_name)
-        if reason:
-            left.append((point.name, point.line, reason))
-        else:
-            points.append(point)
+        found.uses.add(_KrlStatements(n, program).uses)
+    found.by_name = data and not users and not _MOVES.search(text)
     for variable, name, number in found.frames:
         uses = found.uses[variable]
         if uses.relative or uses.absolute:
-            left.append((name, number, uses.reason(variable) if uses.relative else POSE_REASON))
-    left += _elsewhere(found)
-    notes = (
-        ("no program (.src) stands beside this data list: its points are known by their names, X and the name of the point",)
-        if by_name
-        else ()
-    )
-    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])), notes=notes if points else ())
-
-
-def _reason(variable: str, found: _KrlStatements, by_name: bool) -> str:
-    if not variable:
-        return ""
-    uses = found.uses[variable]
-    if by_name and not uses.otherwise:
-        uses.absolute.append(0)
-        return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "is a target of no known program, by its name")
-    return uses.reason(variable)
+            found.left.append((name, number, uses.reason(variable) if uses.relative else POSE_REASON))
+    found.left += _elsewhere(found)
+    note = "no program (.src) stands beside this data list: its points are known by their names, X and the name of the point"
+    return found.program(text, (note,) if found.by_name else ())
 
 
 def _elsewhere(found: _KrlStatements) -> Iterator[LeftAlone]:

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -123,6 +123,67 @@ class Variables(dict[str, Uses]):
             self[name].otherwise += uses.otherwise
 
 
+DEGREES = float(np.pi / 180)  # rad of one
+
+
+class Statements:
+    """What the statements of a program hold.
+
+    A language derives its own, with the ``grammar`` of a statement, the mark of a ``comment`` to the end of a line, the names that ``word``
+    finds, and what is ``doubtful``: what may be a point in a statement that is not understood.
+    """
+
+    grammar: ClassVar[str]
+    comment: ClassVar[str] = ""
+    word: ClassVar[re.Pattern[str]] = re.compile(r"[A-Za-z_]\w*")
+    doubtful: ClassVar[re.Pattern[str]]
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.uses = Variables()
+        self.points: list[tuple[str, str, ProgrammedPoint]] = []  # variable or '', reason that is known already, point
+        self.left: list[LeftAlone] = []
+
+    def parsed(self, code: str, number: int, what: str = "line") -> list[Any]:
+        """The pieces of a statement in a line; none where it is not understood: what it names is then no target."""
+        from lark.exceptions import LarkError
+
+        try:
+            return statement_parser(self.grammar).parse(code).children
+        except LarkError:
+            plain = code.split(self.comment, 1)[0] if self.comment else code
+            for word in self.word.findall(plain):
+                self.uses[word.lower()].otherwise.append(number)
+            if self.doubtful.search(plain):
+                self.left.append((f"line {number}", number, f"is a {what} that is not understood"))
+            return []
+
+    def point(self, variable: str, name: str, number: int, at: int, numbers: Sequence[tuple[Any, float]], reason: str = "") -> None:
+        """Coordinates of all axes. at: place of the statement; numbers: the token of each and its unit in rad."""
+        spans = tuple((at + token.start_pos, at + token.end_pos) for token, _ in numbers)
+        angles = np.array([float(token) * unit for token, unit in numbers])
+        self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, tuple(unit for _, unit in numbers))))
+
+    def reason(self, variable: str) -> str:
+        """Why the coordinates of a variable are not to be touched, '' where they are a target."""
+        return self.uses[variable].reason(variable)
+
+    def program(self, text: str, notes: tuple[str, ...] = ()) -> RobotProgram:
+        """The points that are targets, and the others with the reason of each. notes: where there are points."""
+        points, left = [], list(self.left)
+        for variable, known, point in self.points:
+            if reason := known or (self.reason(variable) if variable else ""):
+                left.append((point.name, point.line, reason))
+            else:
+                points.append(point)
+        return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])), notes=notes if points else ())
+
+
+def kind(piece: Any) -> str:
+    """The rule or the terminal of the grammar that a piece of a statement is of."""
+    return getattr(piece, "data", "") or getattr(piece, "type", "")
+
+
 def lines(text: str) -> Iterable[tuple[int, int, str]]:
     """Number from 1, place in the text, and content of each line."""
     at, count = 0, 1
@@ -149,5 +210,5 @@ def names_in(tree: Any) -> Iterable[str]:
         here = stack.pop()
         if hasattr(here, "children"):
             stack += here.children
-        elif here is not None and getattr(here, "type", "") == "NAME":
+        elif kind(here) == "NAME":
             yield str(here).lower()

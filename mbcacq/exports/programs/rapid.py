@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import numpy as np
-
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Variables, statement_parser
+from mbcacq.exports.programs.program import DEGREES, LineNumbers, RobotProgram, Statements, kind
 
 GRAMMAR = r"""
 start: _any* motion?
@@ -34,37 +32,32 @@ _PIECES = re.compile(r'![^\r\n]*|"(?:[^"\r\n]|"")*"?|;|[^!";]+')
 AXES = 6
 
 
-class _RapidStatements:
+class _RapidStatements(Statements):
+    grammar, doubtful = GRAMMAR, re.compile(r"jointtarget|MoveAbsJ", re.IGNORECASE)
+
     def __init__(self) -> None:
-        self.uses = Variables()
-        self.points: list[tuple[str, str, ProgrammedPoint]] = []
-        self.left: list[LeftAlone] = []
+        super().__init__(AXES)
         self.moves = False
         self.jointtargets = set[str]()  # names declared as such
 
-    def statement(self, begin: int, code: str, line_of: LineNumbers) -> None:
-        from lark.exceptions import LarkError
+    def reason(self, variable: str) -> str:
+        uses = self.uses[variable]
+        if not self.moves and not uses.otherwise:
+            uses.absolute.append(0)  # a module of data alone: a jointtarget is a target by its type
+        return uses.reason(variable)
 
-        try:
-            tree = statement_parser(GRAMMAR).parse(code)
-        except LarkError:
-            for word in re.findall(r"[A-Za-z_]\w*", code):
-                self.uses[word.lower()].otherwise.append(line_of(begin))
-            if re.search(r"jointtarget|MoveAbsJ", code, re.IGNORECASE):
-                at = line_of(begin + len(code) - len(code.lstrip()))
-                self.left.append((f"line {at}", at, "is a statement that is not understood"))
-            return
-        names = [str(child).lower() for child in tree.children if getattr(child, "type", "") == "NAME"]
+    def statement(self, begin: int, code: str, line_of: LineNumbers) -> None:
+        pieces = self.parsed(code, line_of(begin + len(code) - len(code.lstrip())), "statement")
+        names = [str(child).lower() for child in pieces if kind(child) == "NAME"]
         if "jointtarget" in names:
             self.jointtargets |= set(names[names.index("jointtarget") + 1 :])
         types = {"jointtarget", "robtarget"} & set(names)
-        for child in tree.children:
-            kind = getattr(child, "data", "")
-            if "jointtarget" in types and getattr(child, "type", "") == "NAME":
+        for child in pieces:
+            if "jointtarget" in types and kind(child) == "NAME":
                 continue  # a declaration says what there is and uses nothing
-            if kind == "motion":
+            if kind(child) == "motion":
                 self._motion(child, begin, line_of)
-            elif kind == "assignment":
+            elif kind(child) == "assignment":
                 self._assignment(child, types, begin, line_of)
             else:
                 self._other(child, begin, line_of)
@@ -74,9 +67,9 @@ class _RapidStatements:
         number, label = line_of(begin + name.start_pos), str(name)
         if "jointtarget" in types:
             self.jointtargets.add(label.lower())
-        if getattr(value, "data", "") == "list" and ("jointtarget" in types or label.lower() in self.jointtargets):
-            self._jointtarget(label.lower(), label, "", value, begin, number)
-        elif getattr(value, "data", "") == "list" and "robtarget" in types:
+        if kind(value) == "list" and ("jointtarget" in types or label.lower() in self.jointtargets):
+            self._jointtarget(label.lower(), label, value, begin, number)
+        elif kind(value) == "list" and "robtarget" in types:
             self.left.append((label, number, "is a pose, whose joints the controller's own kinematics finds"))
         else:
             self.uses[label.lower().split(".")[0]].otherwise.append(number)
@@ -91,13 +84,13 @@ class _RapidStatements:
         for count, group in enumerate(groups):
             first = group.children[0] if group.children else None
             alone = len(group.children) == 1 or len(group.children) > 1 and str(group.children[1]) == "\\"
-            if to_joints and count == 0 and alone and getattr(first, "type", "") == "NAME":
+            if to_joints and count == 0 and alone and kind(first) == "NAME":
                 self.uses[str(first).lower()].absolute.append(number)
-            elif to_joints and count == 0 and alone and getattr(first, "data", "") == "list":
-                self._jointtarget("", f"line {number}", "", first, begin, number)
-            elif getattr(first, "data", "") == "list" and count == 0 and word == "moveextj":
+            elif to_joints and count == 0 and alone and kind(first) == "list":
+                self._jointtarget("", f"line {number}", first, begin, number)
+            elif kind(first) == "list" and count == 0 and word == "moveextj":
                 self.left.append((f"line {number}", number, "moves external axes alone"))
-            elif getattr(first, "data", "") == "list" and count == 0 and not to_joints:
+            elif kind(first) == "list" and count == 0 and not to_joints:
                 self.left.append((f"line {number}", number, "is a pose, whose joints the controller's own kinematics finds"))
             else:
                 for part in group.children:
@@ -107,33 +100,31 @@ class _RapidStatements:
         stack = [part]
         while stack:
             here = stack.pop()
-            if getattr(here, "data", "") == "list" and _looks_like_joints(here):
+            if kind(here) == "list" and _looks_like_joints(here):
                 number = line_of(begin + _first_place(here))
                 self.left.append((f"line {number}", number, "is no target of a motion"))
             elif hasattr(here, "children"):
                 stack += here.children
-            elif getattr(here, "type", "") == "NAME":
+            elif kind(here) == "NAME":
                 self.uses[str(here).lower().split(".")[0]].otherwise.append(line_of(begin + here.start_pos))
 
-    def _jointtarget(self, variable: str, name: str, reason: str, value: Any, begin: int, number: int) -> None:
+    def _jointtarget(self, variable: str, name: str, value: Any, begin: int, number: int) -> None:
         axes = value.children[0].children if value.children else []
-        inner = axes[0] if len(axes) == 1 and getattr(axes[0], "data", "") == "list" else None
+        inner = axes[0] if len(axes) == 1 and kind(axes[0]) == "list" else None
         if inner is None or len(inner.children) != AXES:
             self.left.append((name, number, "is no jointtarget of six axes"))
             return
-        tokens = [e.children[0] for e in inner.children if len(e.children) == 1 and getattr(e.children[0], "type", "") == "SIGNED"]
+        tokens = [e.children[0] for e in inner.children if len(e.children) == 1 and kind(e.children[0]) == "SIGNED"]
         if len(tokens) != AXES:
             self.left.append((name, number, "has angles that are computed"))
             return
-        spans = tuple((begin + token.start_pos, begin + token.end_pos) for token in tokens)
-        angles = np.radians([float(token) for token in tokens])
-        self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * AXES)))
+        self.point(variable, name, number, begin, [(token, DEGREES) for token in tokens])
 
 
 def _looks_like_joints(brackets: Any) -> bool:
     """Whether a list has the form of a jointtarget: six numbers of the arm, six of external axes."""
     parts = [element.children[0] for element in brackets.children if len(element.children) == 1]
-    return len(brackets.children) == len(parts) == 2 and all(getattr(p, "data", "") == "list" and len(p.children) == AXES for p in parts)
+    return len(brackets.children) == len(parts) == 2 and all(kind(p) == "list" and len(p.children) == AXES for p in parts)
 
 
 def _first_place(tree: Any) -> int:
@@ -153,16 +144,5 @@ def read(text: str, n: int) -> RobotProgram:
             begin, parts = match.end(), []
         else:
             parts.append(" " * len(piece) if piece.startswith("!") else piece)
-    points, left = [], list(found.left)
-    for variable, known, point in found.points:
-        uses = found.uses[variable]
-        if not found.moves and not uses.otherwise:
-            uses.absolute.append(0)  # a module of data alone: a jointtarget is a target by its type
-        if reason := known or (uses.reason(variable) if variable else ""):
-            left.append((point.name, point.line, reason))
-        else:
-            points.append(point)
-    notes = (
-        () if found.moves or not points else ("no MoveAbsJ stands in this module: its jointtargets are taken for targets by their type",)
-    )
-    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])), notes=notes)
+    note = "no MoveAbsJ stands in this module: its jointtargets are taken for targets by their type"
+    return found.program(text, () if found.moves else (note,))

@@ -6,9 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
-from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in, statement_parser
+from mbcacq.exports.programs.program import DEGREES, RobotProgram, Statements, kind, lines, names_in
 
 GRAMMAR = r"""
 start: (assignment | _any+)?
@@ -46,47 +44,30 @@ MOVES = (
 PLACES = {"movec": 2, "servoc": 2}  # a via point and an end
 HINTS = ("get_inverse_kin", "get_inverse_kin_has_solution")  # joint angles there are where the search begins
 SPEEDS = ("speedj", "speedl", "stopj", "stopl")
-DEGREES = float(np.pi / 180)
 POSE_REASON = "is a pose, whose joints the controller's own kinematics finds"
 LONGEST_STATEMENT = 200  # lines
 # A comment, a string, a bracket: what says whether a statement goes on in the next line.
 _PIECES = re.compile(r"""#.*|"[^"]*"?|'[^']*'?|[(\[]|[)\]]""")
 _COMMENT = re.compile(r"""#.*|"[^"]*"?|'[^']*'?""")
-_WORD = re.compile(r"[A-Za-z_]\w*")
 
 
-class _UrStatements:
-    def __init__(self, n: int) -> None:
-        self.n = n
-        self.uses = Variables()
-        self.points: list[tuple[str, ProgrammedPoint]] = []
-        self.left: list[LeftAlone] = []
+class _UrStatements(Statements):
+    grammar, comment, doubtful = GRAMMAR, "#", re.compile(r"\[")
 
     def line(self, number: int, at: int, code: str) -> None:
-        from lark.exceptions import LarkError
-
-        try:
-            tree = statement_parser(GRAMMAR).parse(code)
-        except LarkError:
-            plain = code.split("#", 1)[0]
-            for word in _WORD.findall(plain):
-                self.uses[word.lower()].otherwise.append(number)
-            if "[" in plain:
-                self.left.append((f"line {number}", number, "is a line that is not understood"))
-            return
-        for child in tree.children:
-            if getattr(child, "data", "") == "assignment":
+        for child in self.parsed(code, number):
+            if kind(child) == "assignment":
                 self._assignment(child, number, at)
             else:
                 self._part(child, number, at)
 
     def _assignment(self, assignment: Any, number: int, at: int) -> None:
-        children = [c for c in assignment.children if getattr(c, "type", "") != "SCOPE"]
+        children = [c for c in assignment.children if kind(c) != "SCOPE"]
         name, value = str(children[0]), children[1:]
-        if len(value) == 1 and getattr(value[0], "data", "") in ("list", "pose"):
+        if len(value) == 1 and kind(value[0]) in ("list", "pose"):
             self._coordinates(name.lower(), name, "", value[0], number, at)
             return
-        if value and getattr(value[0], "data", "") == "call" and len(value) == 1:
+        if value and kind(value[0]) == "call" and len(value) == 1:
             self._part(value[0], number, at)
         else:
             for part in value:
@@ -97,14 +78,13 @@ class _UrStatements:
         stack = [part]
         while stack:
             here = stack.pop()
-            kind = getattr(here, "data", "")
-            if kind == "call":
+            if kind(here) == "call":
                 stack += self._call(here, number, at)
-            elif kind in ("list", "pose"):
+            elif kind(here) in ("list", "pose"):
                 self._coordinates("", f"line {number}", "is no target of a motion", here, number, at)
             elif hasattr(here, "children"):
                 stack += here.children
-            elif getattr(here, "type", "") == "NAME":
+            elif kind(here) == "NAME":
                 self.uses[str(here).lower()].otherwise.append(number)
 
     def _call(self, call: Any, number: int, at: int) -> list[Any]:
@@ -116,7 +96,7 @@ class _UrStatements:
             self._pose_of(call, number)
             return []
         items = [item for argument in call.children[1:] for item in argument.children]
-        speeds = [item for item in items if word in SPEEDS and getattr(item, "data", "") == "list"]
+        speeds = [item for item in items if word in SPEEDS and kind(item) == "list"]
         for item in speeds:
             self._coordinates("", f"line {number}", "is a speed", item, number, at)
         return [item for item in items if item not in speeds]
@@ -126,13 +106,13 @@ class _UrStatements:
         word, rest = str(call.children[0]).lower(), []
         for count, argument in enumerate(call.children[1:]):
             items = argument.children
-            named = len(items) > 1 and getattr(items[0], "type", "") == "NAME" and str(items[0]).lower() in ("q", "pose")
+            named = len(items) > 1 and kind(items[0]) == "NAME" and str(items[0]).lower() in ("q", "pose")
             only = items[-1] if len(items) == 1 or (named and len(items) == 2) else None
             if count >= PLACES.get(word, 1) or only is None:
-                rest += items[1:] if len(items) > 1 and getattr(items[0], "type", "") == "NAME" else items
-            elif getattr(only, "data", "") in ("list", "pose"):
+                rest += items[1:] if len(items) > 1 and kind(items[0]) == "NAME" else items
+            elif kind(only) in ("list", "pose"):
                 self._coordinates("", f"line {number}", "", only, number, at)
-            elif getattr(only, "type", "") == "NAME":
+            elif kind(only) == "NAME":
                 self.uses[str(only).lower()].absolute.append(number)
             else:
                 rest.append(only)
@@ -142,7 +122,7 @@ class _UrStatements:
         """get_inverse_kin: the pose is the target, and its joints are found by the controller's own kinematics."""
         pose = call.children[1] if len(call.children) > 1 else None
         only = pose.children[0] if pose is not None and len(pose.children) == 1 else None
-        if getattr(only, "type", "") == "NAME":
+        if kind(only) == "NAME":
             self.uses[str(only).lower()].absolute.append(number)
             return
         for name in names_in(pose):
@@ -156,7 +136,7 @@ class _UrStatements:
             if len(brackets.children) == 7 and not reason:  # 'p[' itself is one
                 self.left.append((name, number, POSE_REASON))
             return
-        inner = [e.children[0] for e in brackets.children if len(e.children) == 1 and getattr(e.children[0], "data", "") == "list"]
+        inner = [e.children[0] for e in brackets.children if len(e.children) == 1 and kind(e.children[0]) == "list"]
         for one in inner:
             self._coordinates("", name, reason or "is part of a list", one, number, at)
         if len(brackets.children) != self.n:
@@ -168,13 +148,10 @@ class _UrStatements:
             if not variable:
                 self.left.append((name, number, reason or "has angles that are computed"))
             return
-        spans = tuple((at + token.start_pos, at + token.end_pos) for token, _ in numbers)
-        angles = np.array([float(token) * unit for token, unit in numbers])
-        point = ProgrammedPoint(name, number, angles, spans, tuple(unit for _, unit in numbers))
         if reason:
             self.left.append((name, number, reason))
         else:
-            self.points.append((variable, point))
+            self.point(variable, name, number, at, numbers)
 
 
 def _angle(element: Any) -> Any:
@@ -182,11 +159,11 @@ def _angle(element: Any) -> Any:
     if len(element.children) != 1:
         return None
     item = element.children[0]
-    if getattr(item, "type", "") == "SIGNED":
+    if kind(item) == "SIGNED":
         return item, 1.0
-    if getattr(item, "data", "") == "call" and str(item.children[0]) == "d2r" and len(item.children) == 2:
+    if kind(item) == "call" and str(item.children[0]) == "d2r" and len(item.children) == 2:
         inside = item.children[1].children
-        if len(inside) == 1 and getattr(inside[0], "type", "") == "SIGNED":
+        if len(inside) == 1 and kind(inside[0]) == "SIGNED":
             return inside[0], DEGREES
     return None
 
@@ -217,10 +194,4 @@ def read(text: str, n: int) -> RobotProgram:
     found = _UrStatements(n)
     for number, at, line in _statements(text):
         found.line(number, at, line)
-    points, left = [], list(found.left)
-    for variable, point in found.points:
-        if reason := found.uses[variable].reason(variable) if variable else "":
-            left.append((point.name, point.line, reason))
-        else:
-            points.append(point)
-    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])))
+    return found.program(text)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import inside_folder, publish
+from mbcacq.model.json_text import FilePath
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_made, read_stretches
 from mbcacq.recording.rrd.reader import Recording, opened, opened_once
@@ -24,8 +25,8 @@ class Recovered:
     poses: finished poses in it; cycles: controller cycles; complete: whether the run's end is in it.
     """
 
-    source: Path
-    output: Path
+    source: FilePath
+    output: FilePath
     poses: int
     cycles: int
     complete: bool

@@ -102,9 +102,6 @@ def _scatter(axes: Any, trace: Any, place: _Place) -> None:
     axes.plot(x, y, label=_label(trace), **style)
     if _of(trace, "error_y.array") is not None:
         axes.errorbar(x, y, yerr=np.asarray(_of(trace, "error_y.array"), dtype=float), fmt="none", ecolor=colour, elinewidth=0.8, capsize=2)
-    if "text" in mode and trace.get("text") is not None:
-        for px, py, text in zip(x, y, np.atleast_1d(trace.get("text")), strict=False):
-            axes.annotate(str(text), (px, py), fontsize=7, ha="center", va="bottom")
 
 
 def _bar(axes: Any, trace: Any, place: _Place) -> None:
@@ -121,9 +118,6 @@ def _bar(axes: Any, trace: Any, place: _Place) -> None:
         at = at + (own - (len(place.bars) - 1) / 2) * width
     draw: Callable = axes.barh if flat else axes.bar
     draw(at, size, width, base, color=_one(_of(trace, "marker.color")) or DEFAULT, label=_label(trace))
-    if not flat and _of(trace, "error_y.array") is not None:
-        error = np.asarray(_of(trace, "error_y.array"), dtype=float)
-        axes.errorbar(at, base + size, error, fmt="none", ecolor="#333333", elinewidth=1, capsize=3)
 
 
 def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
@@ -197,8 +191,6 @@ def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
         axes.set_xticks(range(len(categories.names)), categories.names, rotation=turned, ha="right" if turned else "center")
     if _of(layout, "yaxis.scaleanchor"):
         axes.set_aspect("equal", adjustable="datalim")
-    if _of(layout, "title.text"):
-        axes.figure.suptitle(_plain(_of(layout, "title.text")), fontsize=9, x=0.02, ha="left")
     for shape in layout.get("shapes", ()):
         if shape.get("type") == "line":
             _line(axes, shape)
