@@ -142,7 +142,7 @@ def _stamp(view: memoryview) -> Stamp:
     if size >= layouts.STAMP_BODY.size + layouts.STAMP_PTP.size:
         (ptp,) = layouts.STAMP_PTP.unpack_from(view, start + layouts.STAMP_BODY.size)
     every = np.ndarray((count, 5), "<i8", view, start, (size, 8))
-    return Stamp(frame, timestamp, encoder, encoder_at_z, status, serial, ptp, every)
+    return Stamp(frame, timestamp, encoder, encoder_at_z, status, serial, ptp, every=every)
 
 
 def _measurement(identifier: int, view: memoryview, at: int, count: int) -> Measurement:

@@ -25,7 +25,7 @@ _POLL_S = 0.05
 
 
 @dataclass(frozen=True)
-class Block:
+class ProfileBlock:
     """Stamps of k profiles, and what came with them. raw: (k, W) z or (k, W, 2) x and z, int16; scale, offset: (2,) mm, of x and z."""
 
     stamps: np.ndarray
@@ -39,7 +39,7 @@ class ProfileStream:
 
     def __init__(self, session: GocatorSession, after_s: float = -np.inf) -> None:
         self._session = session
-        self._blocks: list[Block] = []
+        self._blocks: list[ProfileBlock] = []
         self._lock, self._ending = threading.Lock(), threading.Event()
         self._error: MbcacqError | None = None
         self._frame: int | None = None  # of the last profile that was returned
@@ -96,7 +96,7 @@ class ProfileStream:
             self._error = None
 
 
-def block_of(data: DataSet) -> Block | None:
+def block_of(data: DataSet) -> ProfileBlock | None:
     """The profiles of a data set, copied; None where it has none. Raises ProtocolError where stamps and profiles do not agree."""
     profiles = [array for array in data.arrays if array.type in (PROFILE_POINTS, UNIFORM_PROFILE)]
     if not profiles:
@@ -104,7 +104,7 @@ def block_of(data: DataSet) -> Block | None:
     array = profiles[0]
     if data.stamps is None or len(data.stamps) != len(array.array):
         raise ProtocolError(f"the Gocator sent {len(array.array)} profiles with {0 if data.stamps is None else len(data.stamps)} stamps")
-    return Block(data.stamps.copy(), array.array.copy(), *_scales(array))
+    return ProfileBlock(data.stamps.copy(), array.array.copy(), *_scales(array))
 
 
 def _scales(array: ArrayMessage) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -115,7 +115,7 @@ def _scales(array: ArrayMessage) -> tuple[tuple[float, float], tuple[float, floa
         raise ProtocolError(f"a Gocator {TYPE_NAMES[array.type]} does not say its {missing}") from None
 
 
-def joined(blocks: Sequence[Block]) -> Profiles:
+def joined(blocks: Sequence[ProfileBlock]) -> Profiles:
     """All profiles of the blocks. Neighbours of one form are made into points together."""
     points, counts = [np.empty((0, 2), np.float32)], [np.empty(0, np.int64)]
     for (_, scale, offset), alike in groupby(blocks, lambda b: (b.raw.shape[1:], b.scale, b.offset)):

@@ -159,8 +159,10 @@ def adjust_in_motion(
 
 @dataclass(frozen=True)
 class Passes:
-    """Stretches of ways over a sphere, each as a place of the sphere's centre at one moment: sensor time (G,) s, centre (G, 3) mm in the scanner
-    and its covariance (G, 3, 3), and the index (G,) of a profile of each."""
+    """Stretches of ways over a sphere, each as its centre at one moment.
+
+    time_s (G,): of the sensor; xyz (G, 3) mm, in the scanner; covariance (G, 3, 3); profile (G,): index of the one of that moment.
+    """
 
     time_s: np.ndarray
     xyz: np.ndarray

@@ -32,7 +32,7 @@ class LineSource(Protocol):
         ...
 
 
-class ProfileStream:
+class ProfileSender:
     """``catch_up`` makes and sends all profiles up to now; ``run`` calls it until the sensor closes."""
 
     def __init__(self, state: SensorState, line: LineSource) -> None:

@@ -12,7 +12,7 @@ from mbcacq_fakes.protocols.gocator.exposures import Source, expose_on_request
 from mbcacq_fakes.protocols.gocator.health import health_messages, publish_health
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
-from mbcacq_fakes.protocols.gocator.profiles import LineSource, ProfileStream
+from mbcacq_fakes.protocols.gocator.profiles import LineSource, ProfileSender
 from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_fakes.protocols.started import Started
 
@@ -65,7 +65,7 @@ class FakeGocator(Started):
         self._listeners, self._threads, self._discovery = [], [], None
 
     def _stream(self, line: LineSource) -> threading.Thread:
-        stream = ProfileStream(self.state, line)
+        stream = ProfileSender(self.state, line)
         self.state.catch_up = stream.catch_up
         return threading.Thread(target=stream.run, name="fake-gocator-profiles", daemon=True)
 
