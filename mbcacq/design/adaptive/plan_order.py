@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.next_plan import costs_of
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import routed
 from mbcacq.design.adaptive.questions import Questions, questions
 from mbcacq.design.candidate_views import CandidateView, candidates
+from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.plan_rewriter import position_step, with_position_steps
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.design.adaptive.backward_elimination import SIX, BackwardElimination, MeasuredInformation
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import errors_at
 from mbcacq.design.adaptive.planned_observations import continued
 from mbcacq.design.adaptive.questions import Questions, questions
+from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.cell import Station
