@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.calibration.verification import ball_positions, verification_poses
+from mbcacq.calibration.verification import ball_positions, pairs_of_balls, verification_poses
 from mbcacq.design.candidate_views import CandidateView
 from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.design.optimality_criteria import AOptimality, Criterion, DOptimality
@@ -67,13 +67,10 @@ def distance_rows(loaded: LoadedPlan, poses: Sequence[PlannedPose], layout: Para
     if obs.n_poses == 0:
         return np.zeros((0, layout.size))
     where, ends = ball_positions(obs, state)
-    keys, rows = sorted(where), []
-    for i, (station, a) in enumerate(keys):
-        for other, b in keys[i + 1 :]:
-            if other == station:
-                u = where[other, b] - where[station, a]
-                qa, xa, _ = ends[station, a]
-                qb, xb, _ = ends[other, b]
-                A, B = (identifiability.base_columns(layout, state, q, x[:, None])[0][0] for q, x in ((qa, xa), (qb, xb)))
-                rows.append(u / np.linalg.norm(u) @ (B - A))
+    rows = []
+    for station, a, b in pairs_of_balls(where):
+        u = where[station, b] - where[station, a]
+        each = (ends[station, ball][:2] for ball in (a, b))
+        A, B = (identifiability.base_columns(layout, state, q, x[:, None])[0][0] for q, x in each)
+        rows.append(u / np.linalg.norm(u) @ (B - A))
     return np.array(rows).reshape(-1, layout.size)

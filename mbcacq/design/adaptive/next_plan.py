@@ -95,14 +95,20 @@ def pair_in_words(pair: OpenPair) -> str:
 
 def costs_of(loaded: LoadedPlan, measured: Observations | None, options: AdaptiveOptions = OPTIONS) -> VisitCosts:
     """Seconds of a pose and of moving an artefact, and where each artefact stands after the last measured pose."""
-    plan, at = loaded.plan, dict[str, str]()
-    if measured is not None:
-        for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
-            station = measured.cell.stations[measured.station[k]]
-            at[station.artefact] = station.id
+    plan, at = loaded.plan, {} if measured is None else moved_artefacts(measured)[1]
     pose_s = options.pose_s + plan.exposures * plan.scanner.scan_time_s
     by_hand = plan.positioner.driver == "manual"
     return VisitCosts(pose_s, options.move_by_hand_s if by_hand else options.move_by_positioner_s, at, options.look_s)
+
+
+def moved_artefacts(measured: Observations) -> tuple[int, dict[str, str]]:
+    """How often artefacts were moved while a recording was made, and the station at which each stands after it."""
+    moves, at = 0, dict[str, str]()
+    for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
+        station = measured.cell.stations[measured.station[k]]
+        moves += at.get(station.artefact) != station.id
+        at[station.artefact] = station.id
+    return moves, at
 
 
 def choose_next(

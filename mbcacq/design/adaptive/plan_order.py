@@ -134,7 +134,8 @@ def _elimination_order(
     loaded: LoadedPlan, stations: Sequence[str], blocks: InformationBlocks, asked: Questions, before: MeasuredInformation, count: int
 ) -> np.ndarray:
     """Indices of all poses, at these stations, the one that was left out last first: what is missed least per second that is saved goes
-    first. The poses of the first block have no order among themselves: so few that they hardly determine the geometry say little of each other but rounding.
+    first. The poses of the first block have no order among themselves: so few that they hardly determine the geometry say little of each
+    other but rounding.
     """
     elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None)
     station = np.unique(stations, return_inverse=True)[1]

@@ -296,5 +296,7 @@ def _open_pairs(
         old = out.get((first, second))
         if old is not None:
             reachable, would = min(old.reachable, reachable), min(old.held, would)
-        out[first, second] = OpenPair(a.labels, b.labels, float(np.exp(min(b.log_odds - a.log_odds, 50.0))), reachable, would)
+        here, there = (tuple(dict.fromkeys(m.label for m in one.members)) for one in (a, b))
+        odds = float(np.exp(min(b.log_posterior - a.log_posterior, 50.0)))
+        out[first, second] = OpenPair(here, there, odds, reachable, would)
     return list(out.values())
