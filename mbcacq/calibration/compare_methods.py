@@ -189,9 +189,10 @@ def nominal(obs: Observations) -> CellState:
     return with_all_stations(obs, CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, nowhere, obs.cell.ball_centres))
 
 
-def hand_eye_only(obs: Observations) -> CellState:
+def hand_eye_only(obs: Observations) -> CellState | CalibratedCell:
     """Nominal arm; hand-eye and stations by maximum likelihood."""
-    return calibrate(obs, CalibrationOptions(kinematics=False)).state
+    cell = calibrate(obs, CalibrationOptions(kinematics=False))
+    return cell if obs.shared is not None else cell.state
 
 
 def by_motions(name: str) -> Callable[[Observations], CellState]:
@@ -278,7 +279,7 @@ def distances_only(obs: Observations) -> CellState:
     from mbcacq.estimation import parameters
 
     _scanner_of_several_balls(obs)
-    first = hand_eye_only(obs)
+    first = calibrate(obs, CalibrationOptions(kinematics=False)).state
     found = method.identify(
         obs,
         first,

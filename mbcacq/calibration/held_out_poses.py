@@ -85,14 +85,12 @@ def predicted(held: Observations, cell: CellState | CalibratedCell, by_station: 
 
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
-    state, effects = _parts(cell)
-    return np.linalg.norm(as_it_is(obs, state, known(obs, effects)).residual[:, :3], axis=1)
+    return np.linalg.norm(as_it_is(obs, _parts(cell)[0], _known(obs, cell)).residual[:, :3], axis=1)
 
 
 def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
-    state, effects = _parts(cell)
-    solution = solve(as_it_is(obs, with_all_stations(obs, state), known(obs, effects)))
+    solution = solve(as_it_is(obs, with_all_stations(obs, _parts(cell)[0]), _known(obs, cell)))
     return np.linalg.norm(solution.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 
@@ -109,6 +107,13 @@ def ball_spread(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarr
 def known(obs: Observations, effects: EffectModel | None) -> Known:
     """Effects with their coefficients, as terms of a recording that they displace."""
     return tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
+
+
+def _known(obs: Observations, cell: CellState | CalibratedCell) -> Known:
+    """The effects of a cell, and what it found of the errors that the measurements of its recording, and so these, share."""
+    if isinstance(cell, CellState):
+        return ()
+    return (*known(obs, cell.effects), *(cell.own_fit.shared_errors(obs) if cell.own_fit else ()))
 
 
 def _parts(cell: CellState | CalibratedCell) -> tuple[CellState, EffectModel | None]:
