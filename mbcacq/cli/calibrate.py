@@ -155,7 +155,15 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, effects, out, joints=not of_flange_poses(result), poses=result.get("fit", {}).get("poses")))
+        say_next(
+            *next_step(
+                data,
+                effects,
+                out,
+                joints=not (of_flange_poses(result) or result.get("length_instrument")),
+                poses=result.get("fit", {}).get("poses"),
+            )
+        )
 
 
 def next_step(

@@ -48,13 +48,13 @@ def read_lengths(table: Table, options: TableOptions) -> UnderstoodTable | None:
     off = float(np.median(np.abs(missed - np.median(missed))))
     if off > WRONG_ARM_MM:
         raise ConfigError(
-            f"{table.path}: {robot.name} explains the distances in {', '.join(found)} within {off:.3g} mm only; check the arm (--robot), the "
-            "units, and that angles and distances are of one row"
+            f"{table.path}: {robot.name} explains the distances in {', '.join(found)} within {off:.3g} mm only; check the arm (--robot), "
+            "the units, and that angles and distances are of one row"
         )
     said = (
         how,
         f"distances in {', '.join(found)}, each from a point in the base to {POINT}; both, and the instrument's offset, are estimated",
-        f"the instrument's scale is right to {1e6 * SCALE:g} ppm (k = 1); scanner: length_scale_ppm of cell.yaml says another",
+        f"the instrument's scale is right to {1e6 * SCALE:g} ppm (k = 1); length_scale of cell.yaml says another",
         f"{len(row)} distances, which fit within {off:.3g} mm (median)",
     )
     others = [name for name in table.columns if name not in found and name not in table.taken]
