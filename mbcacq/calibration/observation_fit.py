@@ -164,7 +164,8 @@ class ObservationFit:
 
     def instrument_errors(self, observations: Observations) -> list[tuple[Term, np.ndarray]]:
         """The errors of the instrument that belong to the recording, as terms of other poses of it, with their estimates."""
-        terms = zip(self.options.terms, self.coefficients, strict=True)
+        # The coefficients of a discrepancy stand behind those of the terms that were asked for.
+        terms = zip(self.options.terms, self.coefficients, strict=False)
         return known_errors(observations, {name: float(v) for t, c in terms for name, v in zip(t.names, c, strict=True)})
 
     def holds(self, observations: Observations) -> bool:
