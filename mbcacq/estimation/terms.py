@@ -86,7 +86,7 @@ def own_errors(obs: Observations) -> tuple[Term, ...]:
 
 
 def known_errors(obs: Observations, values: Mapping[str, float]) -> list[tuple[Term, np.ndarray]]:
-    """Of these, the terms whose coefficients are known by their names, with them."""
+    """The terms among these whose coefficients are known by their names, with them."""
     return [(t, np.array([values[n] for n in t.names])) for t in own_errors(obs) if all(n in values for n in t.names)]
 
 
