@@ -248,7 +248,8 @@ def reversed_loads(obs: Observations, cell: CalibratedCell) -> tuple[str, ...]:
     """A sentence on the joints that gravity turns one way here and hardly ever did where the arm was learnt, if there are any. Backlash and
     lost motion are a constant there, and in no uncertainty that was learnt."""
     here, found, largest = Covariates(obs), list[str](), 0.0
-    for j, (low, high) in enumerate(cell.extra.get(LOADS, ()) if here.masses_known else ()):
+    learnt = np.reshape(cell.extra.get(LOADS, []) if here.masses_known else [], (-1, 2))
+    for j, (low, high) in enumerate(learnt):
         torque = here.gravity_torque[:, j]
         least = LEAST_LOAD * max(abs(low), abs(high))
         share = max(np.mean(torque < -least) * (low >= -least), np.mean(torque > least) * (high <= least))
