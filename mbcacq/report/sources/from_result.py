@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
 from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
@@ -252,6 +253,10 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if (expected := expected_accuracy(result)) is not None:
         value, misfit = expected
         out.append(("expected accuracy of a point, U (k = 2)", f"{value} {misfit}".rstrip()))
+    if clock := result.get("clock"):
+        out.append(
+            ("clock of the scanner", clock_sentence(clock["delay_s"], clock["delay_sigma_s"], clock["drift"]).removeprefix("Clock: "))
+        )
     return out
 
 
