@@ -91,12 +91,11 @@ class KukaEki(ContextDevice):
         )
 
     def facts(self) -> tuple[Fact, ...]:
-        """The load counts from the start of the controller's program, which ends the run; each connection reports it. Tool, base and
-        operating mode end the run by themselves."""
+        """Tool, base and operating mode end the run by themselves."""
         session = self._session
         if session is None or (state := session.state) is None:
             return ()
-        load = () if (hello := session.hello) is None or hello.load_kg < 0 else (Fact("load", hello.load_kg, "kg", 0.05),)
+        load = () if state.load_kg < 0 else (Fact("load", state.load_kg, "kg", 0.05),)
         return (*load, Fact("override", float(state.override), "%", 0.5, critical=False))
 
     def connect(self) -> None:
