@@ -13,6 +13,7 @@ from __future__ import annotations
 from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
+from mbcacq.devices.joint_target import joint_target
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
 from mbcacq.devices.plan_options import DriverOptions, parse_options
@@ -82,6 +83,7 @@ __all__ = [
     "has_ended",
     "is_host",
     "is_interactive",
+    "joint_target",
     "kill",
     "load_driver",
     "open_tcp",
