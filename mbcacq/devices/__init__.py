@@ -13,9 +13,9 @@ from __future__ import annotations
 from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
-from mbcacq.devices.joint_target import joint_target
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
+from mbcacq.devices.motion_target import joint_target
 from mbcacq.devices.plan_options import DriverOptions, parse_options
 from mbcacq.devices.protocols import (
     Cycles,
