@@ -11,7 +11,7 @@ from pathlib import Path
 from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
-from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
+from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
@@ -77,6 +77,16 @@ class GocatorSession:
     def has_ended(self) -> bool:
         """Whether the sensor has closed a connection since it was used, e.g. as idle."""
         return self.control.has_ended or has_ended(self._data)
+
+    @property
+    def data_socket(self) -> socket.socket | None:
+        """The connection of the data channel, to wait at; None once it is closed."""
+        return self._data
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether nobody has stopped what waits for the sensor."""
+        return not self._cancelled()
 
     def close(self) -> None:
         self.control.close()
@@ -172,9 +182,15 @@ class GocatorSession:
 
     def _check_job(self, configuration: Configuration) -> None:
         (mode,) = unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
-        if mode != SURFACE:
+        streams = self.options.mode == "profile"
+        if mode != (PROFILE if streams else SURFACE):
+            wanted = "Profile, or another mode in the scanner's options" if streams else "Surface"
             raise ConfigError(
-                f"the Gocator's job '{self.job()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode Surface"
+                f"the Gocator's job '{self.job()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode {wanted}"
+            )
+        if streams and configuration.trigger_source == SOFTWARE:
+            raise ConfigError(
+                f"the Gocator's job '{self.job()}' is triggered by software, one profile at a time; choose Time, Encoder or Input"
             )
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
             source = TRIGGER_SOURCES.get(configuration.trigger_source, configuration.trigger_source)
