@@ -83,8 +83,8 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
 
     def _read_facts(self, session: S) -> tuple[Fact, ...]:
         about = self._description
-        told = Fact("serial number", about.serial), Fact("firmware", about.firmware, critical=False)
-        return Fact("job", session.job()), Fact("exposure", session.exposure), *told
+        identity = Fact("serial number", about.serial), Fact("firmware", about.firmware, critical=False)
+        return Fact("job", session.job()), Fact("exposure", session.exposure), *identity
 
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say. Connects anew after a dropped connection, a few times.
