@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.quantities import in_degrees
 
 TOOLS = range(1, 129)
 NAME_LENGTH = 24
@@ -58,7 +59,7 @@ def _lines(T: np.ndarray, number: int, name: str) -> list[str]:
     if not name.isascii() or not name.isprintable() or '"' in name or not 0 < len(name) <= NAME_LENGTH:
         raise ConfigError(f"tool name {name!r} must be 1 to {NAME_LENGTH} plain characters without quotes")
     xyz, abc = se3.to_abc(np.asarray(T, dtype=float))
-    value = zip("XYZABC", (*xyz, *np.degrees(abc)), strict=True)
+    value = zip("XYZABC", (*xyz, *in_degrees(abc)), strict=True)
     frame = ",".join(f"{axis} {v + 0.0:.{5 if axis in 'XYZ' else 6}f}" for axis, v in value)
     return [f"TOOL_DATA[{number}]={{{frame}}}", f'TOOL_NAME[{number},]="{name}"']
 

@@ -19,6 +19,7 @@ from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths, router_of
 from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
+from mbcacq.quantities import from_degrees
 
 SAME_POSTURE = 1e-6  # rad, full turns aside
 
@@ -158,7 +159,7 @@ def _of_step(loaded: LoadedPlan, index: int, step: AnyStep) -> Iterator[Target]:
 def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:
     station = str(step.station)
     for i, pose in enumerate(step.poses_deg):
-        q = np.radians(pose)
+        q = from_degrees(pose)
         balls = step.balls or visible_balls(loaded, station, loaded.cell.robot.chain.flange(q[None])[0])
         yield Target(index, station, None, q, balls, "any", ("steps", index, "poses_deg", i))
 
@@ -188,7 +189,7 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
 
 def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """The joint positions (k, n) rad nearest to home, no more than planning looks at, in their order."""
-    most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
+    most, home = loaded.planning.most_positions, loaded.plan.robot.home
     return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 
 

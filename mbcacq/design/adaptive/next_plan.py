@@ -23,6 +23,7 @@ from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.plan.feasibility import check
+from mbcacq.quantities import in_degrees
 
 DIGITS = 3  # of an angle in degrees: a hundredth of what arms repeat
 MOST_NAMED = 3  # effects that a sentence names
@@ -70,7 +71,7 @@ class NextPoses:
         return tuple(
             Advice(
                 f"{why}: measure {len(v.poses)} poses at station {v.station}",
-                tuple(tuple(float(a) for a in np.degrees(p.q).round(DIGITS)) for p in v.poses),
+                tuple(tuple(float(a) for a in in_degrees(p.q).round(DIGITS)) for p in v.poses),
             )
             for v in self.visits
         )
@@ -198,7 +199,7 @@ def steps_of(loaded: LoadedPlan, visits: Sequence[Visit], first: int = 1) -> lis
                 "phase": "position",
                 "do": "joints",
                 "station": int(visit.station) if visit.station.isdecimal() else visit.station,
-                "poses_deg": [[float(a) for a in np.degrees(p.q).round(DIGITS)] for p in poses],
+                "poses_deg": [[float(a) for a in in_degrees(p.q).round(DIGITS)] for p in poses],
             }
             out.append(step if balls is None else {**step, "balls": list(balls)})
     return out

@@ -64,7 +64,7 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
             ),
             static=True,
         )
-        last = np.radians(loaded.plan.robot.home_deg)
+        last = loaded.plan.robot.home
         for pose, transit, start, end in zip(poses, transits, starts, [*starts[1:], starts[-1] + 5.0], strict=True):
             stops = np.array([last, *transit, pose.q])
             # The arm moves in the first half of a pose's time, and stands in the second.
