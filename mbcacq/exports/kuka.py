@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import bytes_of
 from mbcacq.geometry import se3
 from mbcacq.quantities import in_degrees
 
@@ -28,12 +29,8 @@ def tool_data(T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq sca
 def config_diff(path: str | Path, T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq scanner") -> str:
     """Unified diff that puts the tool into a ``$config.dat``; empty if it is there already. Raises ConfigError naming the file."""
     path = Path(path)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the controller's $config.dat") from error
-    if len(raw) > MAX_BYTES:
-        raise ConfigError(f"{path}: {len(raw) >> 20} MiB is too much for a $config.dat")
+    cure = "give the controller's $config.dat"
+    raw = bytes_of(path, MAX_BYTES, cure, cure)
     old = raw.decode("latin-1").splitlines(keepends=True)
     new = list(old)
     end = "\r\n" if any(line.endswith("\r\n") for line in old) else "\n"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.bounded_read import read_bounded
+from mbcacq.files.bounded_read import bytes_of
 from mbcacq.files.table import Column, TableSchema, joint_columns, read_table
 from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -75,13 +75,8 @@ def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
 
 
 def _text(path: Path) -> str:
-    try:
-        data = read_bounded(path, MAX_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the log of the joint angles") from error
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; give the part of the log with the joint angles")
-    return data.decode("latin-1")
+    part = "give the part of the log with the joint angles"
+    return bytes_of(path, MAX_BYTES, "give the log of the joint angles", part).decode("latin-1")
 
 
 def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:
