@@ -24,7 +24,7 @@ MBCACQ = Path(sys.executable).parent / "mbcacq"
 END = "<!-- end -->\n"
 COLOURS = ("#1f6fb2", "#e08a1e")
 
-sys.path[:0] = [str(TESTS), *(str(TESTS / name) for name in ("calibration", "diagnosis", "motion", "recording", "spheres"))]
+sys.path[:0] = [str(TESTS), *(str(TESTS / name) for name in ("calibration", "camera", "diagnosis", "motion", "recording", "spheres"))]
 
 Option = tuple[tuple[str, ...], dict[str, Any]]
 

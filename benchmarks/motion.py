@@ -28,7 +28,7 @@ from motion.run_and_motion import concealed
 from motion_challenge import MotionChallengeResult, draw, run_challenge
 
 from mbcacq.design.excitation import Excitation, FourierMotion, at_rest, design_excitation
-from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories, explain_trajectories
+from mbcacq.diagnosis.motion.diagnose import Recordings, diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.model import shipped
 from mbcacq.model.trajectory import Trajectory
@@ -198,7 +198,7 @@ def panels(folders: list[Path]) -> dict[str, list[list[tuple[str, np.ndarray, np
     trajectories = [read_trajectory_set(f) for f in folders]
     out: dict[str, list] = {}
     for held in range(len(trajectories)):
-        for e in explain_trajectories(trajectories, held):
+        for e in Recordings(trajectories).explain(held)[0]:
             scale = {"q_joint": 1e3 * np.degrees(1), "q_set": np.degrees(1)}.get(e.group.name, 1.0)
             rows = out.setdefault(e.group.name, [[] for _ in e.group.joints])
             for k, joint in enumerate(e.group.joints):

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.diagnose import base_alone, diagnose_trajectories
+from mbcacq.diagnosis.motion.channel_groups import channel_groups
+from mbcacq.diagnosis.motion.diagnose import Recordings, diagnose_trajectories
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.effects.effect import Parameters
@@ -90,6 +93,16 @@ def run_challenge(challenge: MotionChallenge, robot: RobotModel, record: Record)
         without = base_alone(recordings(challenge, robot, record, others)[0])
         detectable.append(any(bool((without[kind] < DETECTABLE * before[kind]).any()) for kind in before))
     return MotionChallengeResult(challenge, truth, detectable, diagnosis.verdict, score_motion(truth, detectable, diagnosis))
+
+
+def base_alone(trajectories: Sequence[Trajectory]) -> dict[str, np.ndarray]:
+    """Chi2 per degree of freedom (J,) by kind of mismatch, held out, of offsets and the arm's inertial parameters: no effect is tried."""
+    known = Recordings(trajectories)
+    out = {}
+    for group in channel_groups(known.runs, known.inertial, known.robot):
+        selection = EffectSelection(MotionModel(group, known.runs), candidates=[])
+        out[group.name] = selection.start / selection.model.floor**2
+    return out
 
 
 def recordings(

@@ -11,15 +11,13 @@ from typing import Any
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Fact, Field, parse_options
+from mbcacq.devices import ConfigError, ContextDevice, Description, DeviceFault, Fact, Field, parse_options
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.modbus_link import ModbusLink
-from mbcacq_bus.options import StationOptions
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
-
-POLL_S = 0.02
+from mbcacq_bus.stations import StationOptions, StationPositioner
 
 
 class PositionerOptions(StationOptions, Connection):
@@ -52,28 +50,7 @@ class SensorOptions(Connection):
     values: dict[str, Register] = Option(min_length=1)
 
 
-class _ModbusDevice(ContextDevice):
-    """Connection life cycle, common to both kinds. harmless: what is read to keep an idle connection alive."""
-
-    def __init__(self, device: str, options: Connection, harmless: Register) -> None:
-        self._device, self._link = device, ModbusLink(device, options)
-        after_s = options.idle_poll_s if options.has_connection else 0.0
-        self._idle = IdlePoll(lambda: self._link.read(harmless), lambda: self._link.used, after_s)
-
-    def connect(self) -> None:
-        self._link.open()
-        self._idle.start()
-
-    def stop(self) -> None:
-        pass
-
-    def close(self) -> None:
-        self._idle.stop()
-        self.stop()
-        self._link.close()
-
-
-class ModbusPositioner(_ModbusDevice):
+class ModbusPositioner(StationPositioner):
     """Moves the artefact by writing a position and waiting for the controller's flag."""
 
     options_model = PositionerOptions
@@ -85,86 +62,37 @@ class ModbusPositioner(_ModbusDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse_options(PositionerOptions, "the Modbus positioner", options)
-        super().__init__(f"positioner {model}".strip(), self._options, self._options.in_position)
-        self._targets = {str(k): v for k, v in self._options.stations.items()}
-        self._model, self._stopped = model, threading.Event()
+        o = self._options = parse_options(PositionerOptions, "the Modbus positioner", options)
+        link = ModbusLink(f"positioner {model}".strip(), o)
+        super().__init__(model, o, link, lambda: link.read(o.in_position), o.position.unit, o.flag_delay_s, threading.Event())
 
-    def describe(self) -> Description:
-        unit = self._options.position.unit
-        return Description("positioner", self._model, (Field("position", unit, meaning="commanded position of the artefact"),))
-
-    def connect(self) -> None:
-        self._stopped.clear()
-        super().connect()
-
-    def go_to(self, station: str, prompt: str) -> None:
-        """Raises ConfigError for an unknown station, DeviceTimeout, DeviceFault, Aborted after ``stop``."""
-        if station not in self._targets:
-            raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
-        target = self._targets[station]
-        self._stopped.clear()
-        try:
-            self._go_to(station, target)
-        except DeviceTimeout as error:
-            if not self._stopped.is_set():
-                raise
-            raise Aborted(f"stopped on the way to station {station}") from error  # a request gave way to the one that stops
-
-    def _go_to(self, station: str, target: float) -> None:
+    def _begin(self, station: str, target: float) -> None:
         o = self._options
-        self._refuse_unready(station)
+        self._refuse_fault(f"before it goes to station {station}")
+        if o.ready is not None and not self._link.read(o.ready):
+            raise DeviceFault(f"the positioner is not ready to go to station {station}; switch its drive on and reference it")
         try:
             self._link.write(o.position, target)
         except ValueError as error:
             raise ConfigError(f"position of station {station}: {error}; correct the positioner's stations") from error
         if o.start is not None:
             self._link.write(o.start, 1)
-        self._wait(station, target)
-        if self._stopped.wait(o.settle_s):
-            raise Aborted(f"stopped on the way to station {station}")
 
-    def stop(self) -> None:
-        """Also writes the ``halt`` register where the plan names one."""
-        self._stopped.set()
-        if self._options.halt is not None and self._link.connected:
-            try:
-                self._link.write(self._options.halt, 1, urgent=True)
-            except Exception:  # stop never raises; the positioner's own watchdog is the last line
-                return
+    def _fault(self) -> str:
+        code = 0.0 if self._options.fault is None else self._link.read(self._options.fault)
+        return f"{code:g}" if code else ""
 
-    def _refuse_unready(self, station: str) -> None:
-        o = self._options
-        if o.fault is not None and (code := self._link.read(o.fault)):
-            raise DeviceFault(f"the positioner reports fault {code:g} before it goes to station {station}; clear it at its controller")
-        if o.ready is not None and not self._link.read(o.ready):
-            raise DeviceFault(f"the positioner is not ready to go to station {station}; switch its drive on and reference it")
+    def _says_arrived(self) -> bool:
+        return bool(self._link.read(self._options.in_position))
 
-    def _wait(self, station: str, target: float) -> None:
-        o, began = self._options, time.monotonic()
-        where = "in an unknown place"
-        while True:
-            if self._stopped.is_set():
-                raise Aborted(f"stopped on the way to station {station}")
-            if o.fault is not None and (code := self._link.read(o.fault)):
-                raise DeviceFault(f"the positioner reports fault {code:g} on the way to station {station}; clear it at its controller")
-            elapsed = time.monotonic() - began
-            flag = bool(self._link.read(o.in_position)) and (o.actual is not None or elapsed >= o.flag_delay_s)
-            if o.actual is not None:
-                actual = self._link.read(o.actual)
-                where = f"at {actual:g} {o.actual.unit}".rstrip()
-                flag = flag and abs(actual - target) <= o.tolerance
-            if flag:
-                return
-            if elapsed > o.move_timeout_s:
-                raise DeviceTimeout(
-                    f"the positioner did not reach station {station} ({target:g}) within {o.move_timeout_s:g} s: "
-                    f"it is {where}; see what holds it"
-                )
-            self._stopped.wait(POLL_S)
+    def _position(self) -> float | None:
+        return None if self._options.actual is None else self._link.read(self._options.actual)
+
+    def _halt(self) -> None:
+        self._link.write(self._options.halt, 1, urgent=True)
 
 
-class ModbusSensor(_ModbusDevice):
+class ModbusSensor(ContextDevice):
     """Reads named values, e.g. temperatures, from registers."""
 
     options_model = SensorOptions
@@ -173,11 +101,24 @@ class ModbusSensor(_ModbusDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse_options(SensorOptions, "the Modbus sensor", options)
-        registers = self._options.values
-        super().__init__(f"sensor {model}".strip(), self._options, next(iter(registers.values())))
+        o, registers = self._options, self._options.values
+        self._device, first = f"sensor {model}".strip(), next(iter(registers.values()))
+        link = self._link = ModbusLink(self._device, o)
+        self._idle = IdlePoll(lambda: link.read(first), lambda: link.used, o.idle_poll_s if o.has_connection else 0.0)
         rates = {name: r.max_rate for name, r in registers.items() if r.max_rate is not None}
         self._plausible = Plausibility({name: r.unit for name, r in registers.items()}, rates)
         self._model = model
+
+    def connect(self) -> None:
+        self._link.open()
+        self._idle.start()
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self._idle.stop()
+        self._link.close()
 
     def describe(self) -> Description:
         return Description("sensor", self._model, tuple(Field(k, r.unit) for k, r in self._options.values.items()))

@@ -62,7 +62,7 @@ class ModbusLink:
 
     def __init__(self, device: str, options: Connection) -> None:
         self._device, self._options = device, options
-        self._where = f"{device} at {options.address}"
+        self.name = f"{device} at {options.address}"
         self._lock = threading.RLock()
         self._transport: Transport | None = None
         self._hurry = threading.Event()
@@ -164,9 +164,9 @@ class ModbusLink:
                 except Closed as error:
                     why = "broke the connection"
                     if request.moves:
-                        raise DeviceTimeout(f"{self._where} {why} while {request.what}") from error
+                        raise DeviceTimeout(f"{self.name} {why} while {request.what}") from error
                     self._restore()
-            raise DeviceTimeout(f"{self._where} {why} while {request.what}")
+            raise DeviceTimeout(f"{self.name} {why} while {request.what}")
 
     def _accepted(self, request: _Request) -> Any:
         """The answer to this request. Raises _NoAnswer, Closed, DeviceFault."""
@@ -249,7 +249,7 @@ class ModbusLink:
             except IdentityError:
                 raise
             except ConnectError as error:
-                raise DeviceTimeout(f"{self._where} was lost and takes no new connection: {error}") from error
+                raise DeviceTimeout(f"{self.name} was lost and takes no new connection: {error}") from error
 
     def _connect(self, transport: Transport) -> None:
         transport.open()
@@ -277,9 +277,9 @@ class ModbusLink:
             except DeviceFault as error:
                 why = str(error)
         else:
-            raise IdentityError(f"{self._where} cannot be identified: {why}")
+            raise IdentityError(f"{self.name} cannot be identified: {why}")
         if abs(value - identity.equals) > 1e-6 * max(abs(identity.equals), 1.0):
-            raise IdentityError(f"{self._where} identifies itself as {value:g}, not as {identity.equals:g}; is this the right box?")
+            raise IdentityError(f"{self.name} identifies itself as {value:g}, not as {identity.equals:g}; is this the right box?")
 
     def _opened(self) -> Transport:
         if self._transport is None:

@@ -12,7 +12,7 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from mbcacq.devices import ConnectError
+from mbcacq.devices import ConnectError, open_tcp, reason
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.serial_port import close_port, open_port, waiting_bytes
 
@@ -107,11 +107,10 @@ class Transport:
 
     def _connected(self, host: str, port: int) -> socket.socket:
         try:
-            return socket.create_connection((host, port), timeout=self._options.timeout_s)
+            return open_tcp(host, port, self._options.timeout_s)
         except OSError as error:
-            reason = "no answer" if isinstance(error, TimeoutError) else (error.strerror or str(error)).lower()
             raise ConnectError(
-                f"{self._device} does not answer at {host}:{port} ({reason}); is it on, and is the address right?"
+                f"{self._device} does not answer at {host}:{port} ({reason(error)}); is it on, and is the address right?"
             ) from error
 
     def _empty_socket(self) -> int:

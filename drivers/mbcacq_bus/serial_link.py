@@ -14,7 +14,7 @@ from mbcacq_bus.serial_port import close_port, open_port, waiting_bytes
 
 MAX_LINE = 1024
 POLL_S = 0.05
-_TRIES, _QUIET_S = 3, 0.3
+_TRIES = 3  # for an identity
 _QUIET = 1.1  # of the time-out: silence for longer than an answer may take
 _LONGEST = 5.0  # time-outs waited for a line to fall silent
 _STEP_S = 0.005
@@ -28,29 +28,33 @@ class SerialIdentity(DriverOptions):
 
 
 class SerialPortOptions(DriverOptions):
-    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server."""
+    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server. terminator: ends each line that the device
+    sends."""
 
     port: str
     baudrate: int = 9600
     parity: Literal["N", "E", "O"] = "N"
     stopbits: Literal[1, 2] = 1
+    bytesize: Literal[7, 8] = 8
+    terminator: str = Field(default="\n", min_length=1, max_length=4)
     timeout_s: float = Field(default=2.0, gt=0)
     identity: SerialIdentity | None = None
 
 
 class SerialConnection(SerialPortOptions):
-    """terminator: ends each line that the device sends. idle_poll_s: a connection to a serial server that nobody has used for so long is
-    used once, since many close an idle one; 0 for never.
-    """
+    """idle_poll_s: a connection to a serial server that nobody has used for so long is used once, since many close an idle one; 0 for
+    never."""
 
-    bytesize: Literal[7, 8] = 8
-    terminator: str = Field(default="\n", min_length=1, max_length=4)
     idle_poll_s: float = Field(default=2.0, ge=0)
 
     @property
     def has_connection(self) -> bool:
         """Whether there is a connection that the far end can close."""
         return "://" in self.port
+
+
+class LineLost(DeviceTimeout):
+    """The far end has closed the connection, or the port is gone."""
 
 
 class SerialLink:
@@ -63,13 +67,14 @@ class SerialLink:
     stopped: ends such a wait while it is set.
     """
 
-    def __init__(self, device: str, options: SerialConnection, stopped: threading.Event | None = None) -> None:
+    def __init__(self, device: str, options: SerialPortOptions, stopped: threading.Event | None = None) -> None:
         self.name, self._device, self._options = f"{device} at {options.port}", device, options
         self._identity = None
         if options.identity is not None:
             self._identity = options.identity, compiled(options.identity.expect, device, "identity.expect")
         self._lock = threading.RLock()
         self._port: Any = None
+        self._pending = b""  # the beginning of a line
         self._wanted = False  # by whoever opened it: a thread that still asks must not open again what was closed
         # When they were asked, time.monotonic; a line brings their answers after it was closed and opened, too.
         self._unanswered: list[float] = []
@@ -96,7 +101,7 @@ class SerialLink:
             raise ConnectError(f"{self.name} was closed")
         o = self._options
         line = {"baudrate": o.baudrate, "parity": o.parity, "stopbits": o.stopbits, "bytesize": o.bytesize}
-        self._port = open_port(self._device, o.port, **line, timeout=POLL_S, write_timeout=o.timeout_s)
+        self._port, self._pending = open_port(self._device, o.port, **line, timeout=POLL_S, write_timeout=o.timeout_s), b""
         if not self._wanted:  # closed meanwhile
             self.close()
         if self._identity is not None:
@@ -116,29 +121,47 @@ class SerialLink:
                 self._lock.release()
         self._write(text)
 
-    def ask(self, text: str) -> str:
-        """Send, and return the next complete line that is neither empty nor an echo, without its end."""
+    def ask(self, text: str, fits: re.Pattern[str] | None = None) -> str:
+        """Send, and return the next complete line that is neither empty nor an echo, and that ``fits`` as a whole; without its end."""
         with self._lock:
             self._restore()
-            return self._asked(text)
+            if self._unanswered:
+                self._wait_for_silence(0.0)
+            self._heard()  # is late or unasked, and nobody's answer
+            sent, self._pending = time.monotonic(), b""
+            self._write(text)
+            try:
+                line = self._line(text.strip(), fits)
+            except DeviceTimeout:
+                self._unanswered.append(sent)
+                raise
+            if self._unanswered:
+                line = self._last_line(line, text.strip(), sent, fits)
+            self.used = time.monotonic()
+            return line
 
-    def _asked(self, text: str) -> str:
-        if self._unanswered:
-            self._wait_for_silence(0.0)
-        self._heard()  # is late or unasked, and nobody's answer
-        sent = time.monotonic()
-        self._write(text)
+    def keep_in_step(self) -> None:
+        """Have the next question wait until the line is silent, as after a time-out."""
+        self._unanswered.append(time.monotonic())
+
+    def read_line(self) -> str | None:
+        """The next complete line, None where none is complete after a moment. Raises DeviceTimeout where the line is lost, ProtocolError
+        for one without an end."""
         try:
-            line = self._line(text.strip())
-        except DeviceTimeout:
-            self._unanswered.append(sent)
+            self._pending += self._opened().read_until(self._options.terminator.encode(), MAX_LINE)
+        except ConnectError:
             raise
-        if self._unanswered:
-            line = self._last_line(line, text.strip(), sent)
-        self.used = time.monotonic()
+        except Exception as error:  # pyserial raises TypeError too, where another thread closes the port
+            raise LineLost(f"{self.name} was lost: {error}; check the cable") from error
+        if not self._pending.endswith(self._options.terminator.encode()):
+            if len(self._pending) <= MAX_LINE:
+                return None
+            length, self._pending = len(self._pending), b""
+            raise ProtocolError(f"{self.name} sent {length} bytes without an end of line; is the baud rate right?")
+        line, self._pending = self._pending.decode("ascii", "replace").strip(), b""
         return line
 
-    def _last_line(self, line: str, echo: str, sent: float) -> str:
+    def _last_line(self, line: str, echo: str, sent: float, fits: re.Pattern[str] | None) -> str:
         """The last of the lines that follow ``line``: the first may be the late answer to an earlier question.
 
         This question's own answer comes as late after it as the first line came after the oldest question that was not answered.
@@ -147,7 +170,7 @@ class SerialLink:
         until = sent + min(now - self._unanswered[0], _LONGEST * timeout_s) + _QUIET * timeout_s
         self._unanswered = []
         heard = self._wait_for_silence(until).decode("ascii", "replace").split(self._options.terminator)
-        lines = [text for part in heard[:-1] if (text := part.strip()) and text != echo]
+        lines = [text for part in heard[:-1] if _is_answer(text := part.strip(), echo, fits)]
         return lines[-1] if lines else line
 
     def _wait_for_silence(self, until: float) -> bytes:
@@ -163,17 +186,28 @@ class SerialLink:
         return heard
 
     def _identify(self, identity: SerialIdentity, expected: re.Pattern[str]) -> None:
-        """A line has no connections: the first thing heard may be a late reply to whoever asked before us, so it is asked again."""
-        line = ""
-        for _ in range(_TRIES):
+        """A line has no connections: half a question of whoever asked before may garble ours, so it is asked again. The device may talk
+        unasked, too."""
+        timeout_s, began, asked, heard = self._options.timeout_s, time.monotonic(), 0, ""
+        self._heard()
+        while (elapsed := time.monotonic() - began) < timeout_s:
+            if elapsed >= asked * timeout_s / _TRIES:
+                self._write(identity.ask)
+                asked += 1
             try:
-                line = self._asked(identity.ask)
+                line = self.read_line() or ""
             except (DeviceTimeout, ProtocolError) as error:
                 raise IdentityError(f"{self.name} cannot be identified: {error}") from error
             if expected.fullmatch(line):
+                self._unanswered += [began] * (asked > 1)  # the answers to the others may come yet
                 return
-            time.sleep(min(_QUIET_S, self._options.timeout_s))
-        raise IdentityError(f"{self.name} answered '{line[:60]}' where '{identity.expect}' was expected; is this the right device?")
+            heard = line or heard
+        if not heard:
+            raise IdentityError(
+                f"{self.name} cannot be identified: it answered nothing to '{identity.ask.strip()[:40]}' within {timeout_s:g} s; is it on, "
+                "and are baud rate and terminator right?"
+            )
+        raise IdentityError(f"{self.name} answered '{heard[:60]}' where '{identity.expect}' was expected; is this the right device?")
 
     def _heard(self) -> bytes:
         """Bytes that have come and were not read. Raises DeviceTimeout where the line is lost, or another thread closes it meanwhile."""
@@ -181,7 +215,7 @@ class SerialLink:
         try:
             return waiting_bytes(port)
         except Exception as error:  # pyserial raises TypeError too, where another thread closes the port
-            raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
+            raise LineLost(f"{self.name} was lost: {error}; check the cable") from error
 
     def _write(self, text: str) -> None:
         port = self._opened()
@@ -189,7 +223,7 @@ class SerialLink:
             port.write(text.encode())
             port.flush()
         except Exception as error:  # not only OSError: pyserial lets termios.error and TypeError of a lost port through
-            raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
+            raise LineLost(f"{self.name} was lost: {error}; check the cable") from error
 
     def _restore(self) -> None:
         """Forget what came unasked, or too late for an earlier question; open the port again where its far end has closed it."""
@@ -208,30 +242,28 @@ class SerialLink:
         except ConnectError as error:
             raise DeviceTimeout(f"{self.name} was lost ({lost}), and {error}") from error
 
-    def _line(self, echo: str) -> str:
-        port, end, pending = self._opened(), self._options.terminator.encode(), b""
-        deadline = time.monotonic() + self._options.timeout_s
+    def _line(self, echo: str, fits: re.Pattern[str] | None) -> str:
+        timeout_s, deadline = self._options.timeout_s, time.monotonic() + self._options.timeout_s
         while time.monotonic() < deadline:
-            try:
-                pending += port.read_until(end, MAX_LINE)
-            except Exception as error:  # pyserial raises TypeError too, where another thread closes the port
-                raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
-            if pending.endswith(end):
-                line, pending = pending.decode("ascii", "replace").strip(), b""
-                if line and line != echo:
-                    return line
-            elif len(pending) > MAX_LINE:
-                raise ProtocolError(f"{self.name} sent {len(pending)} bytes without an end of line; is the baud rate right?")
-        half = f" but half a line ('{pending[:40].decode('ascii', 'replace')}')" if pending else ""
+            if (line := self.read_line()) is not None and _is_answer(line, echo, fits):
+                return line
+        if fits is not None:
+            raise DeviceTimeout(
+                f"{self.name} sent nothing that matches '{fits.pattern}' for {timeout_s:g} s; is it on, is the baud rate right?"
+            )
+        half = f" but half a line ('{self._pending[:40].decode('ascii', 'replace')}')" if self._pending else ""
         raise DeviceTimeout(
-            f"{self.name} answered nothing{half} to '{echo[:40]}' within {self._options.timeout_s:g} s; is it on, and are "
-            "baud rate and terminator right?"
+            f"{self.name} answered nothing{half} to '{echo[:40]}' within {timeout_s:g} s; is it on, and are baud rate and terminator right?"
         )
 
     def _opened(self) -> Any:
         if self._port is None:
             raise ConnectError(f"{self.name} is not connected")
         return self._port
+
+
+def _is_answer(line: str, echo: str, fits: re.Pattern[str] | None) -> bool:
+    return bool(line) and line != echo and (fits is None or fits.fullmatch(line) is not None)
 
 
 def compiled(pattern: str, device: str, option: str) -> re.Pattern[str]:

@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import (
-    Aborted,
-    ConfigError,
-    ContextDevice,
-    Description,
-    DeviceFault,
-    DeviceTimeout,
-    DriverOptions,
-    Field,
-    ProtocolError,
-    parse_options,
-)
-from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.options import StationOptions
+from mbcacq.devices import ConfigError, DeviceFault, DriverOptions, ProtocolError, parse_options
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
+from mbcacq_bus.stations import StationOptions, StationPositioner
 
-POLL_S = 0.05
 DEVICE = "the serial positioner"
 
 
@@ -80,10 +66,11 @@ class SerialPositionerOptions(StationOptions, SerialConnection):
             raise ValueError(f"move.send is no text with {{raw}} or {{value}}: {error}") from None
 
 
-class SerialPositioner(ContextDevice):
+class SerialPositioner(StationPositioner):
     """Sends where to go, then asks until it stands there."""
 
     asks = False
+    poll_s = 0.05
 
     options_model = SerialPositionerOptions
 
@@ -93,13 +80,11 @@ class SerialPositioner(ContextDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        o = self._options = parse_options(SerialPositionerOptions, DEVICE, options)
-        self._model, self._stopped = model, threading.Event()
-        self._link = SerialLink(f"positioner {model}".strip(), o, self._stopped)
+        o, stopped = parse_options(SerialPositionerOptions, DEVICE, options), threading.Event()
+        link = SerialLink(f"positioner {model}".strip(), o, stopped)
         question = o.position or o.ready
         assert question is not None  # as the options demand
-        self._idle = IdlePoll(lambda: self._link.ask(question.send), lambda: self._link.used, o.idle_poll_s if o.has_connection else 0.0)
-        self._targets = {str(k): v for k, v in o.stations.items()}
+        super().__init__(model, o, link, lambda: link.ask(question.send), o.unit, o.ready_delay_s, stopped)
         named = {
             "move.reply": o.move.reply,
             "ready.reply": o.ready and o.ready.reply,
@@ -110,78 +95,32 @@ class SerialPositioner(ContextDevice):
         if o.position is not None and not self._patterns["position.reply"].groupindex.keys() & {"raw", "value"}:
             raise ConfigError(f"options of {DEVICE}: position.reply needs a named group, e.g. POS=(?P<raw>[-+0-9.]+); correct the plan")
 
-    def connect(self) -> None:
-        """Raises ConnectError, IdentityError."""
-        self.close()
-        self._stopped.clear()
-        self._link.open()
-        self._idle.start()
-
-    def describe(self) -> Description:
-        field = Field("position", self._options.unit, meaning="commanded position of the artefact")
-        return Description("positioner", self._model, (field,))
-
-    def go_to(self, station: str, prompt: str) -> None:
-        """Raises ConfigError for an unknown station, DeviceTimeout, DeviceFault, ProtocolError, Aborted after ``stop``."""
-        if station not in self._targets:
-            raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
-        target, text = self._targets[station], self._options.text_for(self._targets[station])
-        self._stopped.clear()
-        self._refuse_fault(station)
+    def _begin(self, station: str, target: float) -> None:
+        text = self._options.text_for(target)
+        self._refuse_fault(f"on the way to station {station}")
         if (pattern := self._patterns.get("move.reply")) is None:
             self._link.send(text)
         elif not pattern.fullmatch(line := self._link.ask(text)):
             raise DeviceFault(f"{self._link.name} answered '{line[:60]}' to '{text.strip()}'; is the position allowed, is it referenced?")
-        self._wait(station, target)
-        if self._stopped.wait(self._options.settle_s):
-            raise Aborted(f"stopped on the way to station {station}")
 
-    def stop(self) -> None:
-        """Also sends the ``halt`` text where the plan names one, while a motion may be under way."""
-        self._stopped.set()
-        if self._options.halt is not None and self._link.connected:
-            try:
-                self._link.send(self._options.halt.send)
-            except Exception:  # stop never raises; the positioner's own watchdog is the last line
-                return
-
-    def close(self) -> None:
-        self._idle.stop()
-        self.stop()
-        self._link.close()
-
-    def _wait(self, station: str, target: float) -> None:
-        o, began, where = self._options, time.monotonic(), "in an unknown place"
-        while True:
-            if self._stopped.is_set():
-                raise Aborted(f"stopped on the way to station {station}")
-            self._refuse_fault(station)
-            elapsed = time.monotonic() - began
-            arrived = o.ready is None or bool(self._patterns["ready.reply"].fullmatch(self._link.ask(o.ready.send)))
-            if o.position is not None:
-                actual = self._position(o.position)
-                where = f"at {actual:g} {o.unit}"
-                arrived = arrived and abs(actual - target) <= o.tolerance
-            elif elapsed < o.ready_delay_s:  # it may not have lowered its flag yet
-                arrived = False
-            if arrived:
-                return
-            if elapsed > o.move_timeout_s:
-                raise DeviceTimeout(
-                    f"{self._link.name} did not reach station {station} ({target:g} {o.unit}) within "
-                    f"{o.move_timeout_s:g} s: it is {where}; see what holds it"
-                )
-            self._stopped.wait(POLL_S)
-
-    def _refuse_fault(self, station: str) -> None:
+    def _fault(self) -> str:
         if self._options.fault is None:
-            return
-        if match := self._patterns["fault.reply"].fullmatch(self._link.ask(self._options.fault.send)):
-            code = " ".join(filter(None, match.groups())) or match[0]
-            raise DeviceFault(f"{self._link.name} reports fault {code} on the way to station {station}; clear it at its controller")
+            return ""
+        match = self._patterns["fault.reply"].fullmatch(self._link.ask(self._options.fault.send))
+        return (" ".join(filter(None, match.groups())) or match[0]) if match else ""
 
-    def _position(self, query: Query) -> float:
-        o, line = self._options, self._link.ask(query.send)
+    def _says_arrived(self) -> bool:
+        ready = self._options.ready
+        return ready is None or bool(self._patterns["ready.reply"].fullmatch(self._link.ask(ready.send)))
+
+    def _halt(self) -> None:
+        self._link.send(self._options.halt.send)
+
+    def _position(self) -> float | None:
+        o, query = self._options, self._options.position
+        if query is None:
+            return None
+        line = self._link.ask(query.send)
         match = self._patterns["position.reply"].fullmatch(line)
         try:
             found = match.groupdict() if match else {}

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from mbcacq.devices import MbcacqError
+from mbcacq.devices import MbcacqError, hang_up
 from mbcacq_gocator import wire
 from mbcacq_gocator.decode import Health, decode
 
@@ -85,7 +85,7 @@ class HealthReader:
 
     def close(self) -> None:
         self._closing.set()
-        wire.shut(self._sock)
+        hang_up(self._sock)
         if self._thread is not None:
             self._thread.join(timeout=2.0)
         self._sock = self._thread = None
@@ -102,7 +102,7 @@ class HealthReader:
         except MbcacqError:
             pass  # values() goes empty by itself, and the next capture connects again
         finally:
-            wire.shut(sock)
+            hang_up(sock)
 
 
 def newest(known: dict[str, float], received: dict[str, float]) -> dict[str, float]:

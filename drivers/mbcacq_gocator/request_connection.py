@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from mbcacq_gocator import wire
+from mbcacq.devices import hang_up, has_ended
 
 
 class RequestConnection:
@@ -22,9 +22,9 @@ class RequestConnection:
     @property
     def has_ended(self) -> bool:
         """Whether it is closed, by us or by the sensor."""
-        return wire.has_ended(self._sock)
+        return has_ended(self._sock)
 
     def close(self) -> None:
         """Idempotent, from any thread; a request under way ends at once."""
         sock, self._sock = self._sock, None
-        wire.shut(sock)
+        hang_up(sock)

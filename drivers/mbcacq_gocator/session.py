@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError
+from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
@@ -76,12 +76,12 @@ class GocatorSession:
     @property
     def has_ended(self) -> bool:
         """Whether the sensor has closed a connection since it was used, e.g. as idle."""
-        return self.control.has_ended or wire.has_ended(self._data)
+        return self.control.has_ended or has_ended(self._data)
 
     def close(self) -> None:
         self.control.close()
         self.health.close()
-        wire.shut(self._data)
+        hang_up(self._data)
         self._data = self.reader = None
 
     def start(self) -> None:

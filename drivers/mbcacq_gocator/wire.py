@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from mbcacq.devices import Aborted, ConnectError, DeviceTimeout, ProtocolError
+from mbcacq.devices import Aborted, ConnectError, DeviceTimeout, ProtocolError, open_tcp, reason
 from mbcacq_gocator.layouts import HEADER, LAST, MAX_MESSAGE
 
 MAX_SET = 512 * 2**20
 _POLL_S = 0.1
-# s of silence before a connection is probed, and between two probes: firewalls forget a silent one after minutes, without a word.
-_KEEP_ALIVE = {"TCP_KEEPIDLE": 20, "TCP_KEEPINTVL": 5}
 _FIRST_STEP = 4 * 2**20
 
 
@@ -25,42 +22,13 @@ class Dropped(ConnectError):
 
 def connect(address: str, port: int, what: str, timeout_s: float, receive_buffer: int = 0) -> socket.socket:
     """A TCP connection without delay of small packets. Raises ConnectError naming address, port and what listens there."""
-    sock = None
     try:
-        family, kind, number, _, target = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
-        sock = socket.socket(family, kind, number)
-        sock.settimeout(timeout_s)
-        if receive_buffer:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
-        sock.connect(target)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        _keep_alive(sock)
-        return sock
+        return open_tcp(address, port, timeout_s, receive_buffer)
     except OSError as error:
-        if sock is not None:
-            sock.close()
-        reason = "no answer" if isinstance(error, TimeoutError) else (error.strerror or str(error)).lower()
         raise ConnectError(
-            f"the Gocator's {what} port at {address}:{port} cannot be reached ({reason}); "
+            f"the Gocator's {what} port at {address}:{port} cannot be reached ({reason(error)}); "
             "check its power, cable and address, and that no firewall stands between"
         ) from None
-
-
-def _keep_alive(sock: socket.socket) -> None:
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, seconds in _KEEP_ALIVE.items():
-        if hasattr(socket, name):  # macOS lacks the first
-            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), seconds)
-
-
-def has_ended(sock: socket.socket | None) -> bool:
-    """Whether the far end has closed a connection, as devices do with one that idles; what came before its end is left to be read."""
-    try:
-        return sock is None or (bool(select.select([sock], [], [], 0)[0]) and not sock.recv(1, socket.MSG_PEEK))
-    except TimeoutError:  # another thread has read what there was
-        return False
-    except (OSError, ValueError):  # reset; closed by another thread
-        return True
 
 
 def receive_exactly(
@@ -136,14 +104,3 @@ class MessageReader:
             grown = np.empty(max(size, len(self._buffer) * 3 // 2), np.uint8)
             grown[: len(self._buffer)] = self._buffer
             self._buffer = grown
-
-
-def shut(sock: socket.socket | None) -> None:
-    """Close, waking a thread that reads. Never raises."""
-    if sock is None:
-        return
-    try:
-        sock.shutdown(socket.SHUT_RDWR)
-    except OSError:
-        pass
-    sock.close()

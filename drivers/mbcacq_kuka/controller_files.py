@@ -35,7 +35,6 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
             "mb_base": options.base,
             "mb_max_vel": max(1, int(100.0 * facts.get("speed_share", 0.3) + 1e-6)),
             "mb_max_acc": options.acceleration_percent,
-            "mb_max_path": float(options.path_speed_mm_s),
             "mb_silence": options.controller_silence_ms,
             "mb_period": options.state_ms,
             **{f"mb_out[{k}]": number for k, number in enumerate(options.digital_outputs, 1)},

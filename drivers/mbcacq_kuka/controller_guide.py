@@ -66,7 +66,7 @@ ORDER OF STARTING
 
 WHAT THE SMARTPAD SHOWS
   mb_serve, WAIT FOR $FLAG[{first + 2}]   ready, no move waits
-  mb_move, PTP or LIN             a move is driven
+  mb_move, PTP                    a move is driven
   program stopped, red R          a message tells why; acknowledge, start again
   EKI00023                        channel was loaded already: harmless after a restart
   EKI00009, EKI00512              the computer has hung up; the channel is made new

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
-from mbcacq.devices import ConnectError, DeviceTimeout, MbcacqError, ProtocolError
+from mbcacq.devices import ConnectError, DeviceTimeout, LinkLost, MbcacqError, ProtocolError, TcpLink
 from mbcacq_ur import wire
 from mbcacq_ur.options import UrOptions
 from mbcacq_ur.wire import BadPackage, DataLayout, RefusedValues
@@ -46,7 +44,7 @@ class RtdeLink:
         self._name, self._options = name, options
         self._on_values, self._on_error = on_values, on_error
         self._buffer, self._quit = bytearray(), threading.Event()
-        self._socket: socket.socket | None = None
+        self._link: TcpLink | None = None
         self._thread: threading.Thread | None = None
         self._taken: DataLayout | None = None
         self._stops = "" if options.follow else " the arm stops by its watchdog,"
@@ -54,16 +52,14 @@ class RtdeLink:
 
     @property
     def open(self) -> bool:
-        return self._socket is not None
+        return self._link is not None
 
     def connect(self) -> None:
         """Raises ConnectError, ProtocolError."""
         o, place = self._options, f"{self._options.address}:{self._options.port}"
         try:
-            self._socket = socket.create_connection((o.address, o.port), o.connect_timeout_s)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.settimeout(o.silence_s)
-            self._agree()
+            link = self._link = TcpLink("the controller", o.address, o.port, o.connect_timeout_s, o.silence_s)
+            self._agree(link)
         except TimeoutError as error:
             self.close()
             raise ConnectError(f"{self._name} at {place} does not answer; is RTDE enabled (Settings, Security, Services)?") from error
@@ -73,69 +69,64 @@ class RtdeLink:
         except (BadPackage, struct.error, UnicodeDecodeError) as error:
             self.close()
             raise ProtocolError(f"{self._name} at {place} does not speak RTDE version 2 as expected: {error}") from error
-        except OSError as error:
+        except (OSError, LinkLost) as error:
             self.close()
-            raise ConnectError(f"{self._name}: no connection to {place} ({error.strerror or error}); check address and cable") from error
-        self._thread = threading.Thread(target=self._exchange, args=(self._socket,), name="ur-rtde", daemon=True)
+            why = getattr(error, "strerror", None) or error
+            raise ConnectError(f"{self._name}: no connection to {place} ({why}); check address and cable") from error
+        self._thread = threading.Thread(target=self._exchange, args=(link,), name="ur-rtde", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Idempotent, from any thread."""
         self._quit.set()
-        connection, self._socket = self._socket, None
-        if connection is not None:
-            with suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-            connection.close()
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(5.0)
 
-    def _agree(self) -> None:
-        if self._ask(wire.VERSION, struct.pack(">H", 2)) != b"\x01":
+    def _agree(self, link: TcpLink) -> None:
+        if self._ask(link, wire.VERSION, struct.pack(">H", 2)) != b"\x01":
             raise BadPackage("version 2 is refused")
-        if len(version := self._ask(wire.CONTROLLER)) == 16:
+        if len(version := self._ask(link, wire.CONTROLLER)) == 16:
             self.version = ".".join(map(str, struct.unpack(">4I", version)))
         wanted = struct.pack(">d", self._options.frequency_hz) + ",".join(SENT).encode()
-        self._sent = DataLayout(SENT, self._ask(wire.OUTPUTS, wanted))
+        self._sent = DataLayout(SENT, self._ask(link, wire.OUTPUTS, wanted))
         if not self._options.follow:
             taken = (*TAKEN, *(SWITCHED if self._options.digital_outputs else ()))
-            self._taken = DataLayout(taken, self._ask(wire.INPUTS, ",".join(taken).encode()))
-        if self._ask(wire.START) != b"\x01":
+            self._taken = DataLayout(taken, self._ask(link, wire.INPUTS, ",".join(taken).encode()))
+        if self._ask(link, wire.START) != b"\x01":
             raise BadPackage("the exchange is refused")
 
-    def _ask(self, kind: int, payload: bytes = b"") -> bytes:
+    def _ask(self, link: TcpLink, kind: int, payload: bytes = b"") -> bytes:
         """The answer of the same type; texts and early data in between are passed over."""
-        assert self._socket is not None
-        self._socket.sendall(wire.packed(kind, payload))
+        link.send(wire.packed(kind, payload))
         deadline = time.monotonic() + self._options.silence_s
-        while time.monotonic() < deadline:
+        while (left := deadline - time.monotonic()) > 0:
             for found, content in wire.split(self._buffer):
                 if found == kind:
                     return content
                 if found not in (wire.TEXT, wire.DATA):
                     raise BadPackage(f"an answer of type {found} instead of {kind}")
-            data = self._socket.recv(4096)
-            if not data:
-                raise ConnectionResetError("the controller ended the connection")
-            self._buffer += data
+            self._buffer += link.receive(left)[1]
         raise TimeoutError
 
-    def _answer(self, connection: socket.socket) -> None:
+    def _answer(self, link: TcpLink) -> None:
         """Hand on every package that has come, and answer it by the registers, but for an arm that is only followed."""
         for kind, payload in wire.split(self._buffer):
             if kind == wire.DATA:
                 answer = self._on_values(self._sent.read(payload))
                 if self._taken is not None:
-                    connection.sendall(self._taken.write(answer))
+                    link.send(self._taken.write(answer))
 
-    def _exchange(self, connection: socket.socket) -> None:
+    def _exchange(self, link: TcpLink) -> None:
         """Thread: every package, until the connection ends or something is wrong."""
         try:
             while not self._quit.is_set():
-                self._answer(connection)
-                data = connection.recv(65536)
+                self._answer(link)
+                _, data = link.receive(self._options.silence_s)
                 if not data:
-                    raise ConnectionResetError("the controller ended it")
+                    raise TimeoutError
                 self._buffer += data
         except MbcacqError as error:
             self._on_error(error)
@@ -144,7 +135,7 @@ class RtdeLink:
             self._on_error(DeviceTimeout(silent))
         except (BadPackage, struct.error) as error:
             self._on_error(ProtocolError(f"{self._name}: {error};{self._stops} the connection was given up"))
-        except OSError as error:
+        except LinkLost as error:
             if not self._quit.is_set():
-                broken = f"{self._name}: the connection broke ({error.strerror or error});{self._stops} check the cable"
+                broken = f"{self._name}: the connection broke ({error});{self._stops} check the cable"
                 self._on_error(ConnectError(broken))

@@ -15,7 +15,7 @@ from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.clock_term import with_clock, with_clock_term
 from mbcacq.calibration.competing_methods import best_on_held_out
 from mbcacq.calibration.contradiction import fault_while_recording, with_contradiction
-from mbcacq.calibration.description import misdescribed
+from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.published_cell import (
     averaged_over_changes,
     cell_of,
@@ -33,7 +33,7 @@ from mbcacq.errors import CalibrationError, ContradictionError, MbcacqError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions, select_phases, without_copies
 from mbcacq.estimation.solver import one_thread
-from mbcacq.estimation.terms import Term
+from mbcacq.estimation.terms import Term, shared_errors
 from mbcacq.model.observations import Observations
 
 
@@ -43,12 +43,9 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
     """
     try:
-        with one_thread():
+        with one_thread(), likely_cause_named(observations):
             found = with_notes_on_poses(_calibrate(observations, options or CalibrationOptions()), observations)
             return replace(found, own_adjustment=None, calibrate_again=calibrate_with_effects)
-    except ContradictionError as error:
-        cause = misdescribed(observations)
-        raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
@@ -75,7 +72,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return _staged(observations, options)
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
-    options = with_clock_term(obs, options)
+    options = with_clock_term(obs, replace(options, terms=(*options.terms, *shared_errors(obs))))
     adjusted = _adjusted(obs, options)
     if options.kinematics:
         return with_clock(_arm_and_hand_eye(cell_of(with_random_links(adjusted))))

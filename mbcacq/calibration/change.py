@@ -28,25 +28,18 @@ from mbcacq.estimation.variance_components import log_restricted_posterior, rest
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 
-
-@dataclass(frozen=True, kw_only=True)
-class ChangeOptions:
-    """When a change is said. benchmarks/strikes.md has the rates of false and of missed ones."""
-
-    false_alarms: float = 0.01  # of recordings in which nothing changed
-    prior: float = 0.1  # probability that something changes while a recording is made
-    suspected: float = -2.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
-    notable: float = 0.05  # probability of a change
-    negligible: float = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
-    rejected_of_ball: float = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
-    least_side: int = 3  # poses on either side of a moment
-    most_poses: int = 4000  # whose columns fit into memory
-    same_moment: float = 3.0  # of the log Bayes factor: moments that are this near are said as a range
-    other_kind: float = 3.0  # of the same: kinds that are this near are said too
-    turns: int = 3  # of noise and best step
-
-
-OPTIONS = ChangeOptions()
+# When a change is said. benchmarks/strikes.md has the rates of false and of missed ones.
+FALSE_ALARMS = 0.01  # of recordings in which nothing changed
+PROBABILITY_OF_CHANGE = 0.1  # probability that something changes while a recording is made
+SUSPECTED = -2.0  # log e-value under the noise of no change, from which the noise beside the step is estimated
+NOTABLE = 0.05  # probability of a change
+NEGLIGIBLE = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
+REJECTED_OF_BALL = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
+LEAST_SIDE = 3  # poses on either side of a moment
+MOST_POSES = 4000  # whose columns fit into memory
+SAME_MOMENT = 3.0  # of the log Bayes factor: moments that are this near are said as a range
+OTHER_KIND = 3.0  # of the same: kinds that are this near are said too
+TURNS = 3  # of noise and best step
 
 
 @dataclass(frozen=True)
@@ -83,7 +76,7 @@ class ChangeEvidence:
     @property
     def probability(self) -> float:
         """Posterior probability that something changed."""
-        odds = np.exp(min(self.log_e, 500.0)) * OPTIONS.prior / (1 - OPTIONS.prior)
+        odds = np.exp(min(self.log_e, 500.0)) * PROBABILITY_OF_CHANGE / (1 - PROBABILITY_OF_CHANGE)
         return float(odds / (1 + odds))
 
 
@@ -96,34 +89,29 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
         Adjustment of the recording, with random effects where it has some.
     """
     obs = fitted.lineariser.obs
-    if obs.n_poses > OPTIONS.most_poses or obs.n_poses < 2 * OPTIONS.least_side:
+    if obs.n_poses > MOST_POSES or obs.n_poses < 2 * LEAST_SIDE:
         return ChangeEvidence()
     at = _with_balls_again(fitted.solution.evaluated())
     kinds = list(kinds_of_change(at))
     look = _look(at, kinds)
     log_e = look.log_e
-    if log_e > OPTIONS.suspected:
+    if log_e > SUSPECTED:
         before, noise = _log_posterior(at, at.noise), at.noise
-        for _ in range(OPTIONS.turns):
+        for _ in range(TURNS):
             noise = _noise_beside(at, kinds[look.kind], look.moment, noise)
             last, look = look, _look(at.reweighted(noise, at.weights), kinds)
             if (look.kind, look.moment) == (last.kind, last.moment):
                 break
         log_e = look.log_e + _log_posterior(at, noise) - before
-    found = _described(look, kinds, log_e) if log_e > -np.log(OPTIONS.false_alarms) else None
+    found = _described(look, kinds, log_e) if log_e > -np.log(FALSE_ALARMS) else None
     return ChangeEvidence(log_e, found, _second_moment(look, kinds))
-
-
-def found_change(fitted: Adjustment) -> ChangeFound | None:
-    """The change that a recording shows; see ``evidence_of_change``."""
-    return evidence_of_change(fitted).found
 
 
 def _with_balls_again(at: Solution) -> Solution:
     """With the centres of balls of which many are rejected: a ball that moved by much is rejected from then on."""
     obs, weights = at.lineariser.obs, at.weights
     count, n = (np.bincount(obs.ball, w, minlength=len(obs.cell.ball_ids)) for w in (weights.centre == 0, None))
-    often = (count > OPTIONS.rejected_of_ball * n) & (n - count >= OPTIONS.least_side)
+    often = (count > REJECTED_OF_BALL * n) & (n - count >= LEAST_SIDE)
     if not often.any():
         return at
     return at.reweighted(at.noise, replace(weights, centre=np.where(often[obs.ball], 1.0, weights.centre)))
@@ -133,7 +121,7 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
     """Every kind of change that a recording may show."""
     obs, prediction = at.lineariser.obs, at.there.prediction
     moment, n, names = np.arange(obs.n_poses + 1), obs.cell.robot.n, ("x", "y", "z")
-    every = (moment >= OPTIONS.least_side) & (moment <= obs.n_poses - OPTIONS.least_side)
+    every = (moment >= LEAST_SIDE) & (moment <= obs.n_poses - LEAST_SIDE)
 
     def unit(place: str, index: int, components: int) -> np.ndarray:
         return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(components)], axis=2)
@@ -155,7 +143,7 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
     for s in np.unique(obs.station):
         here = np.flatnonzero(order == s)
         among = np.zeros(obs.n_poses + 1, bool)
-        among[here[OPTIONS.least_side : len(here) - OPTIONS.least_side + 1]] = True
+        among[here[LEAST_SIDE : len(here) - LEAST_SIDE + 1]] = True
         at_s = station * (obs.station[obs.pose] == s)[:, None, None]
         yield KindOfChange("station", obs.cell.stations[s].id, twist, units, at_s, among, 0.25 / len(obs.cell.stations))
     if at.lineariser.rows.depth > 3:
@@ -219,7 +207,7 @@ def _second_moment(look: _Look, kinds: list[KindOfChange]) -> np.ndarray:
     test = look.test
     total = np.zeros_like(test.covariance)
     for kind, steps, log_bf in zip(kinds, look.steps, look.log_bf, strict=True):
-        t = np.flatnonzero(log_bf > look.log_e + np.log(OPTIONS.negligible))
+        t = np.flatnonzero(log_bf > look.log_e + np.log(NEGLIGIBLE))
         share, root, (mean, square) = np.exp(log_bf[t] - look.log_e), steps.root[t], steps.shrinkage(t)
         value = np.einsum("tkl,tml,tm->tk", root, root, steps.right[t])
         absorbed = test.covariance @ np.swapaxes(steps.with_parameters[t], 1, 2)
@@ -250,7 +238,7 @@ def _after_mount(at: Solution, kind: KindOfChange) -> np.ndarray | None:
 def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> ChangeFound:
     kind, test, t = kinds[look.kind], look.test, look.moment
     obs, of = test.solution.lineariser.obs, look.log_bf[look.kind]
-    near = _with_every_pose(test.solution, kind, np.flatnonzero(of > of[t] - OPTIONS.same_moment))
+    near = _with_every_pose(test.solution, kind, np.flatnonzero(of > of[t] - SAME_MOMENT))
     t = t if t in near else int(near[0])
     value, covariance = look.steps[look.kind].estimate(t)
     best: dict[str, float] = {}
@@ -258,7 +246,7 @@ def _described(look: _Look, kinds: list[KindOfChange], log_e: float) -> ChangeFo
         name = f"{one.name}:{one.where}"
         best[name] = max(best.get(name, -np.inf), float(np.logaddexp.reduce(log_bf)))
     own = f"{kind.name}:{kind.where}"
-    other = tuple(name for name, size in best.items() if name != own and size > best[own] - OPTIONS.other_kind)
+    other = tuple(name for name, size in best.items() if name != own and size > best[own] - OTHER_KIND)
     other = () if kind.name in ("mount", "scanner") and set(other) <= {"mount:", "scanner:"} else other
     pose = int(test.order[t])
     before, after, std = _hand_eyes(look, kind, value, covariance)
@@ -287,7 +275,7 @@ def _with_every_pose(at: Solution, kind: KindOfChange, near: np.ndarray) -> np.n
     """The moments among these that poses which were rejected leave: an accident is followed by outliers."""
     every = at.reweighted(at.noise, replace(at.weights, pose=np.ones_like(at.weights.pose)))
     gain = StepTest(every).of(kind.columns).gain[near]
-    return near[gain > gain.max() - 2 * OPTIONS.same_moment]
+    return near[gain > gain.max() - 2 * SAME_MOMENT]
 
 
 def _hand_eyes(look: _Look, kind: KindOfChange, value: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
-from mbcacq.calibration.held_out_poses import HeldOutRms, about_best_station, predicted, rms
+from mbcacq.calibration.held_out_poses import about_best_station, predicted, rms
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
@@ -172,10 +172,10 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
         d, used = predicted(obs.select(test), fit(obs.select(~test)), by_station)
         distances.append(d)
         freedom += used
-    found = HeldOutRms.of(distances, freedom)
-    if not np.isfinite(found.rms_mm):
+    found = rms(np.concatenate(distances), freedom)
+    if not np.isfinite(found):
         raise CalibrationError("the centres left out are too few to judge anything by; measure more poses")
-    return found.rms_mm
+    return found
 
 
 LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
@@ -189,9 +189,10 @@ def nominal(obs: Observations) -> CellState:
     return with_all_stations(obs, CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, nowhere, obs.cell.ball_centres))
 
 
-def hand_eye_only(obs: Observations) -> CellState:
+def hand_eye_only(obs: Observations) -> CellState | CalibratedCell:
     """Nominal arm; hand-eye and stations by maximum likelihood."""
-    return calibrate(obs, CalibrationOptions(kinematics=False)).state
+    cell = calibrate(obs, CalibrationOptions(kinematics=False))
+    return cell if obs.shared is not None else cell.state
 
 
 def by_motions(name: str) -> Callable[[Observations], CellState]:
@@ -278,7 +279,7 @@ def distances_only(obs: Observations) -> CellState:
     from mbcacq.estimation import parameters
 
     _scanner_of_several_balls(obs)
-    first = hand_eye_only(obs)
+    first = calibrate(obs, CalibrationOptions(kinematics=False)).state
     found = method.identify(
         obs,
         first,

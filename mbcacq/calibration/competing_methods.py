@@ -15,7 +15,7 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import gross, held_out_masks, predicted, rms
 from mbcacq.calibration.published_cell import cell_of, warned, with_nominal_arm
-from mbcacq.calibration.recording_faults import InfluenceOptions, joint_factor
+from mbcacq.calibration.recording_faults import NOISE_FACTOR, joint_factor
 from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, thin, with_random_links
@@ -85,7 +85,7 @@ def best_on_held_out(cell: CalibratedCell) -> CalibratedCell:
         With its adjustment, and with smooth errors of the joints where the evidence asks for them.
     """
     obs, asked = cell.fit.observations, cell.fit.options
-    if joint_factor(cell.adjustment.noise, obs.cell) <= InfluenceOptions.noise_factor:
+    if joint_factor(cell.adjustment.noise, obs.cell) <= NOISE_FACTOR:
         return cell
     lenient = replace(asked, refuse=False)
     shared: dict[int, tuple[Observations, Adjustment]] = {}  # by identity, with what it is of: what is held here keeps its identity

@@ -28,22 +28,15 @@ from mbcacq.estimation.variance_components import first_noise, reml_score_and_in
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
 
-
-@dataclass(frozen=True, kw_only=True)
-class ContradictionOptions:
-    """What is allowed, and by which factor it must be exceeded. The factors are three times and more what 120 simulated recordings of
-    ordinary arms show at most (scanner 1.10, joints 0.86, links 1.5 with errors of 0.15 mm and 0.03 deg)."""
-
-    scanner: float = 2.0
-    joint: float = 2.5
-    link: float = 6.0  # an arm three times as far off as ordinary ones reaches 4.5
-    unstated: float = 3.0  # further factor where no figure of the instrument or of the arm is given, but a guess of its class
-    absolute: float = 10.0  # further factor of poses of the flange, which err by the arm's absolute accuracy and not by its repeatability
-    refused: float = 20.0  # ratio from which the result is of no use to anybody
-    rejected_share: float = 0.1  # of the centres: single outliers are an accident, so many have a cause
-
-
-OPTIONS = ContradictionOptions()
+# By which factor what is allowed must be exceeded: three times and more what 120 simulated recordings of ordinary arms show at most
+# (scanner 1.10, joints 0.86, links 1.5 with errors of 0.15 mm and 0.03 deg).
+MOST_SCANNER = 2.0
+MOST_JOINT = 2.5
+MOST_LINK = 6.0  # an arm three times as far off as ordinary ones reaches 4.5
+UNSTATED = 3.0  # further factor where no figure of the instrument or of the arm is given, but a guess of its class
+OF_ABSOLUTE_POSES = 10.0  # further factor of poses of the flange, which err by the arm's absolute accuracy and not by its repeatability
+REFUSED_BEYOND = 20.0  # ratio from which the result is of no use to anybody
+MOST_REJECTED = 0.1  # of the centres: single outliers are an accident, so many have a cause
 
 
 @dataclass(frozen=True)
@@ -72,13 +65,13 @@ class Contradiction(AsJson):
     def sentence(self, cell: Cell) -> str:
         """The contradiction with its size, and its cause where that is known."""
         said = []
-        if self.scanner > OPTIONS.scanner * _doubt(cell.noise_mm):
+        if self.scanner > MOST_SCANNER * _doubt(cell.noise_mm):
             said.append(f"{self.scanner:.1f} times the scanner's {'stated' if cell.noise_mm is not None else 'usual'} noise")
         if self.joint > _joint_limit(cell):
             said.append(f"{self.joint:.1f} times the arm's {'stated' if cell.robot.repeatability_mm else 'usual'} repeatability")
-        if self.link > OPTIONS.link:
+        if self.link > MOST_LINK:
             said.append(f"{self.link:.1f} times the link errors that arms have")
-        if self.rejected > OPTIONS.rejected_share:
+        if self.rejected > MOST_REJECTED:
             said.append(f"{self.rejected:.0%} of the centres rejected")
         if not said:
             return f"Something changed while the recording was made: {self.cause}"
@@ -88,12 +81,12 @@ class Contradiction(AsJson):
 
 
 def _doubt(stated: object) -> float:
-    return OPTIONS.unstated if stated is None else 1.0
+    return UNSTATED if stated is None else 1.0
 
 
 def _joint_limit(cell: Cell) -> float:
-    absolute = OPTIONS.absolute if cell.robot.of_flange_poses else 1.0
-    return OPTIONS.joint * absolute * _doubt(cell.robot.repeatability_mm)
+    absolute = OF_ABSOLUTE_POSES if cell.robot.of_flange_poses else 1.0
+    return MOST_JOINT * absolute * _doubt(cell.robot.repeatability_mm)
 
 
 def with_contradiction(cell: CalibratedCell) -> CalibratedCell:
@@ -106,8 +99,8 @@ def with_contradiction(cell: CalibratedCell) -> CalibratedCell:
     if found is None:
         return cell
     absolute = of.robot.of_flange_poses and not found.misdescribed
-    joint = found.joint / (OPTIONS.absolute if absolute else 1.0)
-    if cell.fit.options.refuse and max(found.scanner, joint) > OPTIONS.refused:
+    joint = found.joint / (OF_ABSOLUTE_POSES if absolute else 1.0)
+    if cell.fit.options.refuse and max(found.scanner, joint) > REFUSED_BEYOND:
         raise CalibrationError(found.sentence(of))
     return warned(cell, found.sentence(of), contradiction=found.to_dict())
 
@@ -194,8 +187,8 @@ def link_ratio(solution: Solution, layout: ParameterLayout) -> float:
 
 def _beyond(found: Contradiction, cell: Cell) -> bool:
     return (
-        found.scanner > OPTIONS.scanner * _doubt(cell.noise_mm)
+        found.scanner > MOST_SCANNER * _doubt(cell.noise_mm)
         or found.joint > _joint_limit(cell)
-        or found.link > OPTIONS.link
-        or found.rejected > OPTIONS.rejected_share
+        or found.link > MOST_LINK
+        or found.rejected > MOST_REJECTED
     )

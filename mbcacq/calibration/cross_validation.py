@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate
-from mbcacq.calibration.held_out_poses import HeldOutRms, ball_spread, held_out_masks, predicted, rms
+from mbcacq.calibration.held_out_poses import ball_spread, gross, held_out_masks, predicted, rms
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.model.json_text import AsJson
@@ -90,18 +90,18 @@ def held_out(
         distances.append(d)
         freedom += used
         each.append(rms(d, used))
-    figures = HeldOutRms.of(distances, freedom)
+    d, kept = np.concatenate(distances), np.concatenate([~gross(part) for part in distances])
     return HeldOut(
         split=split,
         fits=len(masks),
         poses=int(sum(m.sum() for m in masks)),
-        centres=figures.centres,
-        rms_mm=figures.rms_mm,
+        centres=len(d),
+        rms_mm=rms(d, freedom),
         spread_mm=rms(np.concatenate(scatter)) if scatter else None,
-        median_mm=figures.median_mm,
-        max_mm=figures.max_mm,
-        gross=figures.centres - figures.robust_centres,
-        rms_without_gross_mm=figures.robust_mm,
+        median_mm=float(np.median(d)),
+        max_mm=float(d.max()),
+        gross=int(np.sum(~kept)),
+        rms_without_gross_mm=rms(d[kept], freedom),
         per_fit_mm=tuple(each),
         seed=seed,
     )

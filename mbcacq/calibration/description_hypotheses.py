@@ -25,7 +25,9 @@ _OTHER = {
 Change = Callable[[Observations], Observations]
 
 AXES = "xyz"
-QUARTER = np.pi / 2
+MIRRORS = tuple((axis, np.where(np.arange(3) == k, -1.0, 1.0)) for k, axis in enumerate(AXES))
+ORDERS = tuple((", ".join(AXES[k] for k in order), order) for order in permutations(range(3)) if order != (0, 1, 2))
+QUARTERS = tuple((f"{90 * k:+d}°", k * np.pi / 2) for k in (1, -1, 2))
 LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
@@ -74,22 +76,26 @@ def _units(o: Observations) -> Iterator[Misreading]:
     for what, factor in (*LENGTHS, ("micrometres", 1e-3)):
         yield Misreading(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
         if np.any(o.cell.ball_centres):
-            yield Misreading(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
+            yield Misreading(
+                f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _centres(o, lambda c: f * c)
+            )
 
 
 def _robot_units(o: Observations) -> Iterator[Misreading]:
     if np.degrees(np.abs(o.q)).max() < RADIANS:
-        yield Misreading(
-            "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)",
-            "unit",
-            lambda o: replace(o, q=np.degrees(o.q)),
-        )
+        what = "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"
+        yield Misreading(what, "unit", lambda o: replace(o, q=np.degrees(o.q)))
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
-        yield Misreading("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))
+        yield Misreading(
+            "the robot's a and d read as metres, not millimetres",
+            "unit",
+            lambda o: _with_chain(o, lambda c: replace(c, a=1e3 * c.a, d=1e3 * c.d)),
+        )
     alpha = np.abs(o.cell.robot.chain.alpha)
     if np.degrees(alpha).max() < RADIANS and alpha.any():
-        yield Misreading("the robot's alpha and theta read as radians, not degrees", "unit", lambda o: _with_chain(o, _scaled_angles))
+        what = "the robot's alpha and theta read as radians, not degrees"
+        yield Misreading(what, "unit", lambda o: _with_chain(o, _angles_in_degrees))
 
 
 def _flange(o: Observations) -> Iterator[Misreading]:
@@ -113,11 +119,10 @@ def _flange(o: Observations) -> Iterator[Misreading]:
 
 def _axes(o: Observations) -> Iterator[Misreading]:
     n = o.cell.robot.n
-    for j in range(n):
-        yield Misreading(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
-        for quarter in (1, -1, 2):
-            offset = quarter * QUARTER * np.eye(n)[j]
-            yield Misreading(f"{90 * quarter:+d}° added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
+    for j, one in enumerate(np.eye(n)):
+        yield Misreading(f"A{j + 1} reversed", "sign", lambda o, one=one: _angles(o, np.eye(n) - 2 * np.diag(one)))
+        for turn, angle in QUARTERS:
+            yield Misreading(f"{turn} added to A{j + 1}", "offset", lambda o, one=one, angle=angle: replace(o, q=o.q + angle * one))
     yield Misreading("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
@@ -135,47 +140,32 @@ def _axes(o: Observations) -> Iterator[Misreading]:
 
 
 def _measured(o: Observations) -> Iterator[Misreading]:
-    for k, axis in enumerate(AXES):
-        mirror = np.ones(3)
-        mirror[k] = -1.0
-        yield Misreading(f"{axis} of the measured points reversed", "handedness", lambda o, m=mirror: replace(o, xyz=o.xyz * m))
+    for axis, mirror in MIRRORS:
+        what = f"{axis} of the measured points reversed"
+        yield Misreading(what, "handedness", lambda o, m=mirror: replace(o, xyz=o.xyz * m))
         if o.rotation is not None:
-            # The reflection of a rotation is D R D.
-            yield Misreading(
-                f"{axis} of the measured points reversed, in the orientation too",
-                "handedness",
-                lambda o, m=mirror: replace(o, xyz=o.xyz * m, rotation=m[:, None] * _rotation(o) * m),
-            )
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            names = ", ".join(AXES[k] for k in order)
-            yield Misreading(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
+            both = f"{what}, in the orientation too"
+            yield Misreading(both, "handedness", lambda o, m=mirror: _rotation(replace(o, xyz=o.xyz * m), lambda R: _mirrored(R, m)))
+    for names, order in ORDERS:
+        yield Misreading(f"the columns of the measured points read as {names}", "order", lambda o, p=order: replace(o, xyz=o.xyz[:, p]))
     if o.rotation is not None:
-        yield Misreading("the orientation inverted", "orientation", lambda o: replace(o, rotation=np.swapaxes(_rotation(o), 1, 2)))
-        xyzw = "the orientation's quaternion read as x, y, z, w"
-        yield Misreading(xyzw, "orientation", lambda o: replace(o, rotation=_requaternion(o, (3, 0, 1, 2))))
-        for k, axis in enumerate(AXES):
-            mirror = np.ones(3)
-            mirror[k] = -1.0
-            yield Misreading(
-                f"the orientation mirrored along {axis} (left-handed)",
-                "orientation",
-                lambda o, m=mirror: replace(o, rotation=m[:, None] * _rotation(o) * m),
-            )
+        yield Misreading("the orientation inverted", "orientation", lambda o: _rotation(o, lambda R: np.swapaxes(R, 1, 2)))
+        yield Misreading("the orientation's quaternion read as x, y, z, w", "orientation", lambda o: _rotation(o, _w_last))
+        for axis, mirror in MIRRORS:
+            what = f"the orientation mirrored along {axis} (left-handed)"
+            yield Misreading(what, "orientation", lambda o, m=mirror: _rotation(o, lambda R: _mirrored(R, m)))
 
 
 def _certified(o: Observations) -> Iterator[Misreading]:
     if len(o.cell.ball_ids) < 2:
         return
-    for k, axis in enumerate(AXES):
-        mirror = np.ones(3)
-        mirror[k] = -1.0
-        if np.ptp(o.cell.ball_centres[:, k]) > 0:
-            yield Misreading(f"{axis} of the certified centres reversed", "handedness", lambda o, m=mirror: _certified_times(o, m))
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            names = ", ".join(AXES[k] for k in order)
-            yield Misreading(f"the columns of the certified centres read as {names}", "order", lambda o, p=order: _certified_order(o, p))
+    for (axis, mirror), extent in zip(MIRRORS, np.ptp(o.cell.ball_centres, axis=0), strict=True):
+        if extent > 0:
+            what = f"{axis} of the certified centres reversed"
+            yield Misreading(what, "handedness", lambda o, m=mirror: _centres(o, lambda c: c * m))
+    for names, order in ORDERS:
+        what = f"the columns of the certified centres read as {names}"
+        yield Misreading(what, "order", lambda o, p=order: _centres(o, lambda c: c[:, p]))
 
 
 def _frames(o: Observations) -> Iterator[Misreading]:
@@ -183,12 +173,10 @@ def _frames(o: Observations) -> Iterator[Misreading]:
     if all(s.T_base_station is None for s in o.cell.stations):
         return
     yield Misreading("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
-    for quarter in (1, -1, 2):
-        turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, quarter * QUARTER]))
-        yield Misreading(f"the base turned by {90 * quarter:+d}° about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
-    for k, axis in enumerate("xy"):
-        turn = se3.exp(np.r_[np.zeros(3), np.pi * np.eye(3)[k]])
-        yield Misreading(f"the base turned by 180° about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+    for turn, angle, k in [(turn, angle, 2) for turn, angle in QUARTERS] + [("180°", np.pi, 0), ("180°", np.pi, 1)]:
+        turned = se3.exp(np.r_[np.zeros(3), angle * np.eye(3)[k]])
+        what = f"the base turned by {turn} about its {AXES[k]}"
+        yield Misreading(what, "frame", lambda o, T=turned: _stations(o, lambda X: T @ X))
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:
@@ -209,21 +197,12 @@ def _with_chain(o: Observations, change: Callable[[Chain], Chain]) -> Observatio
     return replace(o, cell=replace(o.cell, robot=robot))
 
 
-def _scaled_lengths(c: Chain) -> Chain:
-    return Chain(c.sign, c.theta, 1e3 * c.d, 1e3 * c.a, c.alpha, c.beta)
+def _angles_in_degrees(c: Chain) -> Chain:
+    return replace(c, theta=np.degrees(c.theta), alpha=np.degrees(c.alpha))
 
 
-def _scaled_angles(c: Chain) -> Chain:
-    return Chain(c.sign, np.degrees(c.theta), c.d, c.a, np.degrees(c.alpha), np.degrees(c.beta))
-
-
-def _certified_times(o: Observations, factor: float | np.ndarray) -> Observations:
-    artefacts = tuple(replace(a, centres=a.centres * factor) for a in o.cell.artefacts)
-    return replace(o, cell=replace(o.cell, artefacts=artefacts))
-
-
-def _certified_order(o: Observations, order: tuple[int, ...]) -> Observations:
-    artefacts = tuple(replace(a, centres=a.centres[:, order]) for a in o.cell.artefacts)
+def _centres(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
+    artefacts = tuple(replace(a, centres=change(a.centres)) for a in o.cell.artefacts)
     return replace(o, cell=replace(o.cell, artefacts=artefacts))
 
 
@@ -262,18 +241,21 @@ def _shifted(o: Observations, shift: int) -> Observations:
     return replace(o, q=o.q[np.clip(at, 0, o.n_poses - 1)]).select(inside)
 
 
-def _rotation(o: Observations) -> np.ndarray:
+def _rotation(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
     assert o.rotation is not None, "offered only where an orientation was measured"
-    return o.rotation
+    return replace(o, rotation=change(o.rotation))
 
 
-def _requaternion(o: Observations, order: tuple[int, ...]) -> np.ndarray:
-    """The rotations whose quaternions were read with w first though w is elsewhere: columns in another order."""
+def _mirrored(R: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+    """The reflection D of a rotation is D R D."""
+    return mirror[:, None] * R * mirror
+
+
+def _w_last(R: np.ndarray) -> np.ndarray:
+    """The rotations (N, 3, 3) whose quaternions were read as w, x, y, z though they are x, y, z, w."""
     from scipy.spatial.transform import Rotation
 
-    xyzw = Rotation.from_matrix(_rotation(o)).as_quat()
-    wxyz = np.concatenate([xyzw[:, 3:], xyzw[:, :3]], axis=1)[:, order]
-    return Rotation.from_quat(np.concatenate([wxyz[:, 1:], wxyz[:, :1]], axis=1)).as_matrix()
+    return Rotation.from_quat(np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)).as_matrix()
 
 
 def exchanged_balls(obs: Observations) -> str:

@@ -5,9 +5,6 @@ Every held-out figure counts every centre that was held out. A robust figure may
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -22,40 +19,6 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 GROSS = 10.0  # medians, beyond which a centre is gross: no model that is compared comes nearer to it
-
-
-@dataclass(frozen=True)
-class HeldOutRms:
-    """Distances of held-out centres from their prediction, in figures.
-
-    Attributes
-    ----------
-    rms_mm : float
-        3D rms of every centre; not a number where fits to the held-out centres took all their freedom.
-    median_mm, max_mm : float
-        Median and largest of the distances.
-    centres : int
-        Number of centres.
-    robust_mm : float
-        3D rms without gross centres.
-    robust_centres : int
-        Number of centres that are not gross.
-    """
-
-    rms_mm: float
-    median_mm: float
-    max_mm: float
-    centres: int
-    robust_mm: float
-    robust_centres: int
-
-    @classmethod
-    def of(cls, distances: Sequence[np.ndarray], freedom: int = 0) -> HeldOutRms:
-        """From the distances (M,) mm of each part, each predicted by the rest. freedom: degrees of freedom that fits to them took."""
-        d = np.concatenate(distances)
-        kept = np.concatenate([~gross(part) for part in distances])
-        median, largest = float(np.median(d)), float(d.max())
-        return cls(rms(d, freedom), median, largest, len(d), rms(d[kept], freedom), int(kept.sum()))
 
 
 def gross(*distances: np.ndarray) -> np.ndarray:
@@ -122,14 +85,12 @@ def predicted(held: Observations, cell: CellState | CalibratedCell, by_station: 
 
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
-    state, effects = _parts(cell)
-    return np.linalg.norm(as_it_is(obs, state, known(obs, effects)).residual[:, :3], axis=1)
+    return np.linalg.norm(as_it_is(obs, _parts(cell)[0], _known(obs, cell)).residual[:, :3], axis=1)
 
 
 def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
-    state, effects = _parts(cell)
-    solution = solve(as_it_is(obs, with_all_stations(obs, state), known(obs, effects)))
+    solution = solve(as_it_is(obs, with_all_stations(obs, _parts(cell)[0]), _known(obs, cell)))
     return np.linalg.norm(solution.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 
@@ -146,6 +107,13 @@ def ball_spread(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarr
 def known(obs: Observations, effects: EffectModel | None) -> Known:
     """Effects with their coefficients, as terms of a recording that they displace."""
     return tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
+
+
+def _known(obs: Observations, cell: CellState | CalibratedCell) -> Known:
+    """The effects of a cell, and what it found of the errors that the measurements of its recording, and so these, share."""
+    if isinstance(cell, CellState):
+        return ()
+    return (*known(obs, cell.effects), *(cell.own_fit.shared_errors(obs) if cell.own_fit else ()))
 
 
 def _parts(cell: CellState | CalibratedCell) -> tuple[CellState, EffectModel | None]:

@@ -9,20 +9,12 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.geometry import se3
 
-
-@dataclass(frozen=True, kw_only=True)
-class TargetOptions:
-    """How joint angles are searched."""
-
-    rounds: int = 60
-    reached_mm: float = 1e-3  # a thousandth of a millimetre is below any arm's repeatability
-    reached_rad: float = 1e-6
-    lever_mm: float = 300.0  # weighs rotations against translations: a tool of that length
-    damping: float = 1e-4  # relative, of directions that an arm near a singular posture can hardly move in
-    largest_step: float = 0.2  # rad, of a joint in one round
-
-
-OPTIONS = TargetOptions()
+ROUNDS = 60
+REACHED_MM = 1e-3  # a thousandth of a millimetre is below any arm's repeatability
+REACHED_RAD = 1e-6
+LEVER_MM = 300.0  # weighs rotations against translations: a tool of that length
+DAMPING = 1e-4  # relative, of directions that an arm near a singular posture can hardly move in
+LARGEST_STEP = 0.2  # rad, of a joint in one round
 
 
 @dataclass(frozen=True)
@@ -45,9 +37,9 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
     limits = np.tile([-np.inf, np.inf], (start.shape[1], 1)) if limits is None else limits
     low, high = limits.T
     q = np.clip(np.array(start, dtype=float), low, high)
-    weight = np.array([1.0] * 3 + [OPTIONS.lever_mm] * 3)
+    weight = np.array([1.0] * 3 + [LEVER_MM] * 3)
     best, lowest = q.copy(), np.full(len(q), np.inf)
-    for _ in range(OPTIONS.rounds):
+    for _ in range(ROUNDS):
         F = cell.frames(q)
         twist = error_twist(F[:, -1], goals)
         size = np.linalg.norm(twist * weight, axis=1)
@@ -61,14 +53,14 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
         A = np.swapaxes(at_flange, 1, 2)
         normal = np.swapaxes(A, 1, 2) @ A
         scale = np.trace(normal, axis1=1, axis2=2)[:, None, None] / q.shape[1]
-        damped = normal + OPTIONS.damping**2 * scale * np.eye(q.shape[1])
+        damped = normal + DAMPING**2 * scale * np.eye(q.shape[1])
         step = np.linalg.solve(damped, np.einsum("pij,pi->pj", A, twist * weight)[..., None])[..., 0]
         largest = np.abs(step).max(axis=1, keepdims=True)
-        step = step * np.minimum(1.0, OPTIONS.largest_step / np.maximum(largest, 1e-12))
+        step = step * np.minimum(1.0, LARGEST_STEP / np.maximum(largest, 1e-12))
         q = np.clip(q + step, low, high)
     left = error_twist(cell.frames(best)[:, -1], goals)
     error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
-    reached = (error_mm < OPTIONS.reached_mm) & (error_rad < OPTIONS.reached_rad)
+    reached = (error_mm < REACHED_MM) & (error_rad < REACHED_RAD)
     at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)
     reasons = tuple("" if ok else _reason(ends) for ok, ends in zip(reached, at_limit, strict=True))
     return JointTargets(best, error_mm, error_rad, reached, reasons)

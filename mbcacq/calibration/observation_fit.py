@@ -17,6 +17,7 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution, covariance_of, covariance_under_its_noise
+from mbcacq.estimation.terms import SHARED, Term, shared_errors
 from mbcacq.geometry import se3
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
@@ -160,6 +161,11 @@ class ObservationFit:
     def rms_mm(self) -> float:
         """3D rms of the residuals of all centres used."""
         return float(np.sqrt(np.mean(np.sum(self.residual[self.used, :3] ** 2, axis=1)))) if self.used.any() else float("nan")
+
+    def shared_errors(self, observations: Observations) -> tuple[tuple[Term, np.ndarray], ...]:
+        """The errors that the measurements of the recording share, as a term of other poses of it, with their estimates."""
+        found = [c for t, c in zip(self.options.terms, self.coefficients, strict=True) if t.name == SHARED]
+        return tuple(zip(shared_errors(observations), found, strict=False))
 
     def holds(self, observations: Observations) -> bool:
         """Whether any pose of ``observations`` is among those fitted: the same number with the same joint angles."""

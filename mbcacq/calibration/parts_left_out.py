@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.held_out_poses import rms
 from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError
@@ -19,6 +20,7 @@ from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import one_thread, solve
 from mbcacq.estimation.terms import Term
+from mbcacq.model.json_text import Number
 from mbcacq.model.observations import Observations
 
 PARTS = 5  # of each station, along the order of its poses, as many as the blocks that a calibration is judged by
@@ -26,12 +28,47 @@ MOST_POSES = 3000  # by which it is fitted and judged: as many as unmodelled eff
 
 
 @dataclass(frozen=True)
-class CentreResiduals:
-    """Centres less what is predicted for them. residual: (m, 3) mm; whitened: (m, 3), of unit variance under the noise that was learnt
-    where the prediction is true."""
+class TransferFigures:
+    """How far the centres of a recording are from their prediction.
 
-    residual: np.ndarray
-    whitened: np.ndarray
+    Attributes
+    ----------
+    rms_mm : float
+        3D rms over the centres.
+    median_mm : float
+        Median of the 3D distances.
+    chi2_dof : float
+        Chi square per degree of freedom, under the noise of centres and joints that the learnt cell states. Parameters that were fitted
+        to the recording are no degrees of freedom.
+    """
+
+    rms_mm: Number
+    median_mm: Number
+    chi2_dof: Number
+
+    @classmethod
+    def of(cls, residual: np.ndarray, whitened: np.ndarray, rank: int = 0) -> TransferFigures:
+        """From residuals (m, 3) mm, and the same (m, 3) of unit variance where the prediction is true; rank: of what was fitted to them."""
+        distance = np.linalg.norm(residual, axis=1)
+        chi2_dof = float(np.sum(whitened**2) / max(whitened.size - rank, 1))
+        return cls(rms(distance), float(np.median(distance)), chi2_dof)
+
+
+@dataclass(frozen=True)
+class PartsLeftOut:
+    """Parts of the recording, each predicted by the others, arm and effects as learnt.
+
+    Attributes
+    ----------
+    as_learnt : TransferFigures
+        Base, tool and stations are fitted to the other parts.
+    drawn_anew : TransferFigures
+        Random effects are fitted to the other parts too. They are the effects that differ between recordings, and the unmodelled effects
+        beyond the range in which they were learnt.
+    """
+
+    as_learnt: TransferFigures
+    drawn_anew: TransferFigures
 
 
 def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
@@ -40,9 +77,7 @@ def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
     return tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
 
 
-def parts_left_out(
-    placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray
-) -> tuple[CentreResiduals, CentreResiduals] | None:
+def parts_left_out(placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray) -> PartsLeftOut | None:
     """Predictions of parts of a recording by its other parts: without and with what the recording learnt from could not teach.
 
     Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts. The second time, random effects are
@@ -63,8 +98,8 @@ def parts_left_out(
 
     Returns
     -------
-    tuple of CentreResiduals, or None
-        As learnt, and drawn anew, of every centre; None where the model leaves out nothing in this recording, or where the
+    PartsLeftOut or None
+        Figures of every centre; None where the model leaves out nothing in this recording, or where the
         parts do not determine base, tool and stations.
     """
     keep = some_poses(placed.fit.observations, MOST_POSES)
@@ -78,33 +113,26 @@ def parts_left_out(
     parts = [part[obs.pose] for part in _parts(obs)]
     try:
         with one_thread():
-            as_learnt, drawn_anew = (_left_out(obs, replace(options, terms=t), placed.state, noise, used, parts) for t in ((), terms))
+            return PartsLeftOut(*(_left_out(obs, replace(options, terms=t), placed.state, noise, used, parts) for t in ((), terms)))
     except (CalibrationError, np.linalg.LinAlgError):
         return None
-    return as_learnt, drawn_anew
 
 
 def _left_out(
     obs: Observations, options: CalibrationOptions, state: CellState, noise: Noise, used: np.ndarray, parts: Sequence[np.ndarray]
-) -> CentreResiduals:
-    """Residuals at all centres, each part (M,) predicted by a fit to those of the others that are used (M,)."""
+) -> TransferFigures:
+    """The figures of all centres, each part (M,) predicted by a fit to those of the others that are used (M,)."""
     lineariser = Lineariser(obs, build(obs, options), options)
     start = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))
     for part in parts:
         at = system(lineariser, start, noise, _weights(obs, used & ~part))
         fitted = solve(at).estimate
-        predicted = _predicted(obs, options, fitted, noise, _weights(obs, part))
-        residual[part], whitened[part] = predicted.residual[part], predicted.whitened[part]
-    return CentreResiduals(residual, whitened)
-
-
-def _predicted(obs: Observations, options: CalibrationOptions, fitted: Estimate, noise: Noise, weights: Weights) -> CentreResiduals:
-    """The residuals of all centres by a fitted cell."""
-    displaced = (*options.displaced, *zip(options.terms, fitted.coefficients, strict=True))
-    plain = replace(options, displaced=displaced, terms=())
-    at = system(Lineariser(obs, build(obs, plain), plain), Estimate(fitted.state), noise, weights)
-    return CentreResiduals(at.residual[:, :3], at.whitened_residual[:, :3])
+        displaced = (*options.displaced, *zip(options.terms, fitted.coefficients, strict=True))
+        plain = replace(options, displaced=displaced, terms=())
+        there = system(Lineariser(obs, build(obs, plain), plain), Estimate(fitted.state), noise, _weights(obs, part))
+        residual[part], whitened[part] = there.residual[part, :3], there.whitened_residual[part, :3]
+    return TransferFigures.of(residual, whitened)
 
 
 def _weights(obs: Observations, centres: np.ndarray) -> Weights:

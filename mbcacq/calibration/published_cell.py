@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.change import OPTIONS, ChangeEvidence
+from mbcacq.calibration.change import NOTABLE, ChangeEvidence
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.description import wrong_length
 from mbcacq.effects.effect_model import EffectModel
@@ -23,6 +23,7 @@ from mbcacq.estimation.options import copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.estimation.solver import solve
+from mbcacq.estimation.terms import SHARED
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.joint_resolution import rounding_sentence
@@ -58,7 +59,7 @@ def averaged_over_changes(cell: CalibratedCell, change: ChangeEvidence) -> Calib
     """
     if change.second_moment is None:
         return cell
-    said = {"change_probability": change.probability} if change.probability > OPTIONS.notable else {}
+    said = {"change_probability": change.probability} if change.probability > NOTABLE else {}
     covariance = cell.covariance + change.probability * change.second_moment
     return replace(cell, covariance=covariance, extra={**cell.extra, **said})
 
@@ -80,6 +81,11 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         cell = warned(cell, said)
     if length := wrong_length(observations):
         cell = warned(cell, f"A length contradicts the poses of the flange: {length}")
+    if observations.images is not None:
+        at = [i for i, name in enumerate(cell.names) if name.startswith(f"{SHARED}_")]
+        found = next((c for _, c in cell.fit.shared_errors(observations)), np.zeros(0))
+        said = observations.images.calibrated(found, cell.covariance[np.ix_(at, at)])
+        cell = replace(cell, extra={**cell.extra, "images": said})
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
 
@@ -96,12 +102,16 @@ def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
     result : CalibratedCell
         With link errors as random effects (``CalibrationOptions(kinematics=False)``), and with its adjustment.
     """
+    chain = result.layout.blocks[0]
+    if not chain.free.any():
+        return result
     lineariser, state = result.adjustment.lineariser, replace(result.state, chain=result.nominal)
     left_out = np.zeros(result.layout.size)
-    chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
     if lineariser.obs.cell.measurement == ARTEFACT_IN_SCANNER:  # artefacts stand where the nominal arm sees them; an instrument is a result
-        state = solve(as_it_is(lineariser.obs, state, lineariser.options.displaced), weights=result.fit.weights).estimate.state
+        fitted = zip(lineariser.options.terms, result.fit.coefficients, strict=True)
+        known = (*lineariser.options.displaced, *fitted)
+        state = solve(as_it_is(lineariser.obs, state, known), weights=result.fit.weights).estimate.state
     residual = lineariser.evaluate(Estimate(state, result.fit.coefficients)).residual
     covariance = result.covariance + np.outer(left_out, left_out)
     return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))

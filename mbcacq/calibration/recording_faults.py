@@ -126,15 +126,12 @@ def _moments(strict: Solution) -> Iterator[Story]:
         yield Story(kind.name, f"{what} between pose {before} and pose {after}; {to_do}", float(gains[best]), price)
 
 
-@dataclass(frozen=True)
-class InfluenceOptions:
-    """When joint noise contradicts a data sheet, and when one pose is the reason."""
-
-    noise_factor: float = 3.0  # of the data sheet's: what arms in good order reach under other conditions than the sheet's (load, time)
-    false_alarms: float = 1e-3  # nominal level of the test, divided among the poses; the rate itself is not yet measured
-    least_difference: float = 20.0  # of chi square to the second pose: odds of e^10; a wrong name is worse than none
-    consistent_normal_deviate: float = 4.0  # of the chi square that remains: without the pose, the data sheet's noise must do
-    least_dof: int = 6  # that must be left without the pose: fewer explain anything
+# When joint noise contradicts a data sheet, and when one pose is the reason.
+NOISE_FACTOR = 3.0  # of the data sheet's: what arms in good order reach under other conditions than the sheet's (load, time)
+FALSE_ALARMS = 1e-3  # nominal level of the test, divided among the poses; the rate itself is not yet measured
+LEAST_DIFFERENCE = 20.0  # of chi square to the second pose: odds of e^10; a wrong name is worse than none
+CONSISTENT_NORMAL_DEVIATE = 4.0  # of the chi square that remains: without the pose, the data sheet's noise must do
+LEAST_DOF = 6  # that must be left without the pose: fewer explain anything
 
 
 @dataclass(frozen=True)
@@ -181,22 +178,20 @@ def with_joint_noise_check(cell: CalibratedCell) -> CalibratedCell:
     return cell if found is None else warned(cell, joint_noise_sentence(found), joint_noise_check=found)
 
 
-def joint_noise_check(
-    solution: Solution, noise: Noise, covariance: np.ndarray, options: InfluenceOptions | None = None
-) -> dict[str, Any] | None:
+def joint_noise_check(solution: Solution, noise: Noise, covariance: np.ndarray) -> dict[str, Any] | None:
     """Where the estimated joint noise is far beyond the arm's data sheet: by what factor, and the pose that explains it if one does.
 
     covariance: (g, g) of the parameters, as stated. None where the noise is credible or the data sheet is silent.
     """
-    options, obs, names = options or InfluenceOptions(), solution.lineariser.obs, solution.lineariser.layout.names
+    obs, names = solution.lineariser.obs, solution.lineariser.layout.names
     allowed = first_noise(obs.cell).joint
     factor = joint_factor(noise, obs.cell)
-    if not obs.cell.robot.repeatability_mm or factor <= options.noise_factor:
+    if not obs.cell.robot.repeatability_mm or factor <= NOISE_FACTOR:
         return None
     found: dict[str, Any] = {"joint_factor": factor, "allowed_joint_rad": allowed.tolist(), "pose": None}
     strict = solve(solution, replace(noise, joint=allowed), tolerance=1e-2)
     hand_eye = np.array([i for i, name in enumerate(names) if name.startswith("hand_eye.")], dtype=int)
-    if (pose := _explaining_pose(strict, deletions(strict, hand_eye), options)) is None:
+    if (pose := _explaining_pose(strict, deletions(strict, hand_eye))) is None:
         return found
     shift = deletions(solution, hand_eye).shift[pose]
     std = np.sqrt(np.diag(covariance))[hand_eye]
@@ -206,13 +201,13 @@ def joint_noise_check(
     return found
 
 
-def _explaining_pose(strict: Solution, deleted: Deletion, options: InfluenceOptions) -> int | None:
+def _explaining_pose(strict: Solution, deleted: Deletion) -> int | None:
     """Index of the pose whose deletion takes most of the misfit away, by an F test; None where there is none."""
     weights, lineariser = strict.weights, strict.lineariser
     used = weights.centre * weights.pose[lineariser.obs.pose]
     dof = lineariser.rows.width * float(used.sum()) + strict.prior.rows - lineariser.layout.size - int(strict.normal.station_rank.sum())
     rest_dof = dof - deleted.rank
-    judged = (deleted.rank > 0) & (rest_dof >= options.least_dof)
+    judged = (deleted.rank > 0) & (rest_dof >= LEAST_DOF)
     if not judged.any():
         return None
     rest = np.maximum(strict.cost - deleted.chi2, 1e-300) / np.maximum(rest_dof, 1.0)
@@ -222,9 +217,9 @@ def _explaining_pose(strict: Solution, deleted: Deletion, options: InfluenceOpti
     pose = int(np.argmin(p_value))
     left = strict.cost - deleted.chi2
     others = np.delete(left, pose)
-    decided = others.size == 0 or others.min() - left[pose] > options.least_difference
-    consistent = left[pose] < chi2_quantile(rest_dof[pose], options.consistent_normal_deviate)
-    return pose if p_value[pose] < options.false_alarms / judged.sum() and decided and consistent else None
+    decided = others.size == 0 or others.min() - left[pose] > LEAST_DIFFERENCE
+    consistent = left[pose] < chi2_quantile(rest_dof[pose], CONSISTENT_NORMAL_DEVIATE)
+    return pose if p_value[pose] < FALSE_ALARMS / judged.sum() and decided and consistent else None
 
 
 def joint_noise_sentence(found: dict[str, Any]) -> str:

@@ -13,9 +13,9 @@ import numpy as np
 
 from mbcacq.calibration.calibrate import calibrate, changed_while_recorded
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.held_out_poses import gross, rms
+from mbcacq.calibration.held_out_poses import gross
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
-from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
+from mbcacq.calibration.parts_left_out import PartsLeftOut, TransferFigures, parts_left_out
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
@@ -33,43 +33,6 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
-
-
-@dataclass(frozen=True)
-class TransferFigures:
-    """How far the centres of a recording are from their prediction.
-
-    Attributes
-    ----------
-    rms_mm : float
-        3D rms over the centres.
-    median_mm : float
-        Median of the 3D distances.
-    chi2_dof : float
-        Chi square per degree of freedom, under the noise of centres and joints that the learnt cell states. Parameters that were fitted
-        to the recording are no degrees of freedom.
-    """
-
-    rms_mm: Number
-    median_mm: Number
-    chi2_dof: Number
-
-
-@dataclass(frozen=True)
-class PartsLeftOut:
-    """Parts of the recording, each predicted by the others, arm and effects as learnt.
-
-    Attributes
-    ----------
-    as_learnt : TransferFigures
-        Base, tool and stations are fitted to the other parts.
-    drawn_anew : TransferFigures
-        Random effects are fitted to the other parts too. They are the effects that differ between recordings, and the unmodelled effects
-        beyond the range in which they were learnt.
-    """
-
-    as_learnt: TransferFigures
-    drawn_anew: TransferFigures
 
 
 @dataclass(frozen=True)
@@ -329,12 +292,11 @@ class _Trial:
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
         weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
-        return _figures(CentreResiduals(fit.residual[used, :3], whitened), round(rank * float(used.mean())))
+        return TransferFigures.of(fit.residual[used, :3], whitened, round(rank * float(used.mean())))
 
     def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
         """The figures of parts predicted by the others; None with known places, which are not fitted."""
-        predicted = parts_left_out(placed, model, self.cell.noise, used) if self.place == "fitted" and model else None
-        return None if predicted is None else PartsLeftOut(*(_figures(one, 0) for one in predicted))
+        return parts_left_out(placed, model, self.cell.noise, used) if self.place == "fitted" and model else None
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
         """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""
@@ -350,12 +312,6 @@ class _Trial:
         except CalibrationError:
             return None
         return self.figures(own, used)
-
-
-def _figures(of: CentreResiduals, rank: int) -> TransferFigures:
-    distance = np.linalg.norm(of.residual, axis=1)
-    chi2 = float(np.sum(of.whitened**2) / max(of.whitened.size - rank, 1))
-    return TransferFigures(rms(distance), float(np.median(distance)), chi2)
 
 
 def with_arm(obs: Observations, chain: Chain) -> Observations:

@@ -27,7 +27,7 @@ from mbcacq.estimation import variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
+from mbcacq.estimation.random_effect_sizes import consecutive, gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior, pack
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)
@@ -198,8 +198,8 @@ class _Groups:
     def index(self) -> dict[str, np.ndarray]:
         """Indices of each group's coefficients among the parameters."""
         first = self.problem.columns_by_pose.twists.shape[2]
-        ends = first + np.cumsum([0] + [t.k for t in self.terms])
-        return {t.key: np.arange(a, b) for t, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)}
+        places = consecutive(t.k for t in self.terms)
+        return {t.key: first + np.arange(p.start, p.stop) for t, p in zip(self.terms, places, strict=True)}
 
     def quick_gain(self, noise: Noise) -> tuple[float, dict[str, float]]:
         """Log evidence that the groups add under a noise that holds what they would explain, which is less than they add with their own

@@ -22,7 +22,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.pose_information import Weights
-from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
+from mbcacq.estimation.random_effect_sizes import consecutive, eliminated, sizes_by_marginal_likelihood, without_prior
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise, one_thread
 from mbcacq.estimation.terms import Term
@@ -319,20 +319,17 @@ class _Stage:
         """
         layout, normal = self.layout, at.normal
         first = layout.size - sum(g.k for g in self.groups)
-        now = np.concatenate([np.zeros(first), *self.estimate.coefficients[len(self.named) :]])
-        weight = np.zeros(layout.size)
-        weight[first:] = 1 / np.concatenate([g.sigma * s for g, s in zip(self.groups, self.scale, strict=True)]) ** 2
-        information = normal.information - np.diag(weight)  # of the data, and of the priors of everything else
-        right = normal.gradient + weight * now + information @ now  # for the groups' coefficients themselves, not their changes
+        own = np.arange(first, layout.size)
+        information, right = without_prior(normal, at.prior, own)
         smallest = groups.OPTIONS.smallest if last else OPTIONS.least_before_last
-        scale = group_scales(information, right, first, self.groups, self.scale, smallest)
+        scale = group_scales(*eliminated(information, right, own), self.groups, self.scale, smallest)
         scale = scale if last else np.maximum(scale, smallest)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
         size = np.concatenate([layout.scale[:first], prior])
         solved = size * np.linalg.solve(
             size[:, None] * information * size + np.diag(np.r_[np.zeros(first), np.ones(len(prior))]), size * right
         )
-        step = solved - now
+        step = solved - np.r_[np.zeros(first), at.prior.offset[own]]
         moved = self.estimate.moved(layout, step, normal.station_step(step), self.lineariser.rows.stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
         kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
@@ -345,24 +342,15 @@ class _Stage:
         )
 
 
-def group_scales(
-    information: np.ndarray, right: np.ndarray, first: int, several: Sequence[EffectTerm], start: np.ndarray, smallest: float
-) -> np.ndarray:
-    """(G,) size of each group in its prior size, zero where it is below the smallest.
-
-    information (g, g), right (g,): normal equations without the groups' priors, whose columns begin at ``first``.
+def group_scales(S: np.ndarray, b: np.ndarray, several: Sequence[EffectTerm], start: np.ndarray, smallest: float) -> np.ndarray:
+    """(G,) size of each group in its prior size, zero where it is below the smallest. S (k, k), b (k,): normal equations of the groups
+    without their priors, all else eliminated.
     """
     sigma = np.concatenate([g.sigma for g in several])
-    ends = np.cumsum([0] + [g.k for g in several])
-    slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    scale0 = 1 / np.sqrt(np.maximum(np.diag(information)[:first], 1e-300))
-    root = np.linalg.cholesky(scale0[:, None] * information[:first, :first] * scale0 + 1e-12 * np.eye(first))
-    taken = np.linalg.solve(root, scale0[:, None] * np.c_[information[:first, first:] * sigma, right[:first]])
-    S = sigma[:, None] * information[first:, first:] * sigma - taken[:, :-1].T @ taken[:, :-1]
-    b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
     fixed = np.array([given_size(g) for g in several])
-    begin = np.where(fixed, 1.0, start)
-    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, groups.OPTIONS.largest), groups.OPTIONS.ending, fixed)
+    begin, slices, tuned = np.where(fixed, 1.0, start), consecutive(g.k for g in several), groups.OPTIONS
+    normal, limits = sigma[:, None] * S * sigma, (smallest, tuned.largest)
+    return sizes_by_marginal_likelihood(normal, sigma * b, slices, begin, limits, tuned.ending, fixed)
 
 
 def given_size(t: EffectTerm) -> bool:

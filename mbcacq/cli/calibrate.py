@@ -214,7 +214,7 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(tables.parameters(result))
     for table in (*tables.fixed_scanners(result), tables.hand_eye(result)):
         console.print(table)
-    fit = (tables.effects, tables.fit, tables.clock, tables.scan_scale, tables.stages, tables.remarks, tables.arm_improved)
+    fit = (tables.effects, tables.fit, tables.images, tables.clock, tables.scan_scale, tables.stages, tables.remarks, tables.arm_improved)
     for line in (line for lines in fit for line in lines(result)):
         console.print(line)
     if result.get("verification"):

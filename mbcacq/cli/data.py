@@ -65,11 +65,46 @@ _TABLE_OPTIONS = (
 )
 
 
+_BOARDS = ("charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles")
+
+
+def image_options(function: Callable[..., None]) -> Callable[..., None]:
+    """What is said of images of a board."""
+    for option in reversed(_IMAGE_OPTIONS):
+        function = option(function)
+    return function
+
+
+_IMAGE_OPTIONS = (
+    click.option("--poses", type=click.Path(path_type=Path, dir_okay=False), help="Images: the table of the arm's poses, a row for each."),
+    click.option("--board", "kind", type=click.Choice(_BOARDS), help="Images: what they show."),
+    click.option(
+        "--size",
+        metavar="COLUMNSxROWS",
+        help="Squares of a charuco board, inner corners of a chessboard, markers, or circles of the board.",
+    ),
+    click.option("--pitch", type=click.FloatRange(0, min_open=True), metavar="MM", help="Side of a square, or distance of centres."),
+    click.option(
+        "--inner", type=click.FloatRange(0, min_open=True), metavar="MM", help="Side of a marker, or diameter of a circle [half the pitch]."
+    ),
+    click.option("--dictionary", help="Dictionary of the markers [5X5_100, april: APRILTAG_36h11]."),
+    click.option("--camera", type=click.Path(path_type=Path), help="File of the intrinsics (OpenCV, ROS, Kalibr, COLMAP) [estimated]."),
+)
+
+
 @command.command("new")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@image_options
 @table_options
 def new(
     files: tuple[Path, ...],
+    poses: Path | None,
+    kind: str | None,
+    size: str | None,
+    pitch: float | None,
+    inner: float | None,
+    dictionary: str | None,
+    camera: Path | None,
     out: Path | None,
     columns: tuple[str, ...],
     robot: str | None,
@@ -83,7 +118,8 @@ def new(
     One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot). It also has the
     measurement: the target's pose, the centre of one sphere, or those of several. If headings leave something open, the data decide. A row
     may also be a point of a line profile of a sphere (profile, profile_x_mm, profile_z_mm), with the flange's pose in each row or in a
-    table before. For profiles on the move that table has the cycles, and both have times.
+    table before. For profiles on the move that table has the cycles, and both have times. FILES are images, or folders of images, where
+    --board says what they show.
 
     \b
     Examples:
@@ -91,12 +127,39 @@ def new(
       mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
       mbcacq data new flange.csv profiles.csv --diameter 30
       mbcacq data new cycles.csv points.csv --diameter 30
+      mbcacq data new views --poses p.csv --board circles --size 9x7 --pitch 20
       mbcacq calibrate cell-3 --hand-eye-only
     """
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
 
     folder = _free_folder(out or Path(f"{files[0].stem}-set"), force)
-    _write(read_hand_eye_files(files, options_of(columns, robot, noise, said)), folder, as_json)
+    options = options_of(columns, robot, noise, said)
+    board = {"--poses": poses, "--board": kind, "--size": size, "--pitch": pitch}
+    if any(value is not None for value in (*board.values(), inner, dictionary, camera)):
+        _write_images(files, board, (inner, dictionary, camera), options, folder, as_json)
+    else:
+        _write(read_hand_eye_files(files, options), folder, as_json)
+
+
+def _write_images(
+    files: tuple[Path, ...],
+    board: dict[str, Any],
+    more: tuple[float | None, str | None, Path | None],
+    options: TableOptions,
+    folder: Path,
+    as_json: bool,
+) -> None:
+    """The set of images. board: what must be said of them; more: side or diameter, dictionary, file of the intrinsics."""
+    from mbcacq.camera.board import board_of
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording.datasets.hand_eye_sets import table_of
+    from mbcacq.recording.datasets.image_set import read_images
+
+    if missing := [name for name, value in board.items() if value is None]:
+        raise ConfigError(f"{', '.join(missing)} of the images: missing; say which board they show and where the arm stood")
+    inner, dictionary, camera = more
+    shown = board_of(board["--board"], board["--size"], board["--pitch"], inner, dictionary)
+    _write(read_images(files, table_of(board["--poses"], options), shown, camera, options), folder, as_json)
 
 
 @command.command("merge")
@@ -154,7 +217,8 @@ def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
     write_observation_set(obs, folder)
     if as_json:
         content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
-        echo(json.dumps({**content, "understood": list(found.sentences)}))
+        more = {} if obs.images is None else {"images": obs.images.to_dict()}
+        echo(json.dumps({**content, **more, "understood": list(found.sentences)}))
         return
     for sentence in found.sentences:
         echo(sentence)

@@ -214,7 +214,8 @@ def remarks(result: dict[str, Any]) -> list[str]:
     rejected = result.get("rejected") or []
     if rejected:
         some = ", ".join(
-            f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({fixed(r['distance_mm'])} mm)"
+            f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])}{_image_of(result, r['pose'])} "
+            f"({fixed(r['distance_mm'])} mm)"
             for r in rejected[:5]
         )
         out.append(f"Rejected as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
@@ -222,6 +223,21 @@ def remarks(result: dict[str, Any]) -> list[str]:
     if factor and (max(factor) > 2 or min(factor) < 0.5):
         out.append(f"The scanner's noise is {max(factor, key=lambda f: abs(np.log(f))):.1f} times what was stated")
     return out + [f"Warning: {warning}" for warning in result.get("warnings") or ()]
+
+
+def _image_of(result: dict[str, Any], pose: int) -> str:
+    found = next((one["name"] for one in result.get("images", {}).get("images", ()) if one["pose"] == pose), "")
+    return f" of {found}" if found else ""
+
+
+def images(result: dict[str, Any]) -> list[str]:
+    """The camera's intrinsics, and the reprojection error of each image."""
+    from mbcacq.report.sources.images import camera_rows, image_rows
+
+    if not (seen := result.get("images")):
+        return []
+    errors = ", ".join(f"{name} {rms}" for name, _, rms, _, reason in image_rows(seen) if not reason)
+    return [f"Camera (± U, k = 2): {', '.join(f'{n} {v}' for n, v in camera_rows(seen))}", f"Reprojection error (px rms): {errors}"]
 
 
 def clock(result: dict[str, Any]) -> list[str]:

@@ -47,27 +47,14 @@ class DOptimality:
     own: int
 
     def value(self, C: np.ndarray) -> float:
-        return d_optimal_value(C, self.own)
+        return float(np.linalg.slogdet(C[: self.own, : self.own])[1])
 
     def gains(self, C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
-        return d_optimal_gains(C, B, sign, self.own)
-
-
-def d_optimal_value(C: np.ndarray, own: int) -> float:
-    """Log determinant of the covariance (own, own) of the first ``own`` unknowns."""
-    return float(np.linalg.slogdet(C[:own, :own])[1])
-
-
-def d_optimal_gains(C: np.ndarray, B: np.ndarray, sign: float, own: int) -> np.ndarray:
-    """(P,) decrease of ``d_optimal_value``, by the determinant lemma.
-
-    The volume of the own unknowns is that of all, less that of the stations with the own ones known.
-    """
-    S = _schur(B, C, sign)
-    rest = slice(own, None)
-    inner = np.linalg.inv(np.linalg.inv(C)[rest, rest]) if C.shape[0] > own else np.zeros((0, 0))
-    T = np.eye(B.shape[1]) + sign * B[..., rest] @ inner @ np.swapaxes(B[..., rest], 1, 2)
-    return _spared(np.linalg.slogdet(S)[1] - np.linalg.slogdet(T)[1], S, sign)
+        """By the determinant lemma: the volume of the own unknowns is that of all, less that of the stations with the own ones known."""
+        S, rest = _schur(B, C, sign), slice(self.own, None)
+        inner = np.linalg.inv(np.linalg.inv(C)[rest, rest]) if C.shape[0] > self.own else np.zeros((0, 0))
+        T = _schur(B[..., rest], inner, sign)
+        return _spared(np.linalg.slogdet(S)[1] - np.linalg.slogdet(T)[1], S, sign)
 
 
 def updated_covariance(C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:

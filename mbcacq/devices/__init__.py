@@ -11,6 +11,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 from __future__ import annotations
 
 from mbcacq.devices.addresses import HOST, is_host
+from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
@@ -30,6 +31,7 @@ from mbcacq.devices.protocols import (
     Sensor,
 )
 from mbcacq.devices.registry import available, create, load_driver
+from mbcacq.devices.tcp import LinkLost, TcpLink, hang_up, has_ended, open_tcp, reason
 from mbcacq.devices.terminal_input import is_interactive, typed_line
 from mbcacq.errors import (
     Aborted,
@@ -47,6 +49,8 @@ from mbcacq.errors import (
 __all__ = [
     "HOST",
     "Aborted",
+    "ChildEnded",
+    "ChildProcess",
     "ConfigError",
     "ConnectError",
     "ContextDevice",
@@ -59,6 +63,7 @@ __all__ = [
     "Fact",
     "Field",
     "IdentityError",
+    "LinkLost",
     "MbcacqError",
     "MotionLimits",
     "Positioner",
@@ -70,12 +75,18 @@ __all__ = [
     "Scanner",
     "Sensor",
     "SystemRefused",
+    "TcpLink",
     "available",
     "create",
+    "hang_up",
+    "has_ended",
     "is_host",
     "is_interactive",
+    "kill",
     "load_driver",
+    "open_tcp",
     "parse_options",
+    "reason",
     "same_model",
     "signals_deferred",
     "typed_line",

@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import replace
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.executor import Executor, Refit, Refitting, executor
+from mbcacq.diagnosis.executor import Executor, Refit, Refitting, TimeBudget, executor
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import kept_model, predicting_better, with_groups_everywhere
 from mbcacq.diagnosis.output.notes import noise_in_words
-from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned
+from mbcacq.diagnosis.problem import DiagnosisProblem, determined, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import repeated, repeated_early
 from mbcacq.diagnosis.validation.found_again import repetitions
 from mbcacq.diagnosis.verdict import conclude
-from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """How a recording is to be diagnosed: the arguments of ``diagnose`` beside the recordings."""
-
-    folds: int | None
-    progress: Progress
-    options: CalibrationOptions
-    formulas: bool
-    refit: Refit | None
 
 
 def diagnose(
@@ -66,63 +53,65 @@ def diagnose(
             "the recording has poses of the flange and no joint angles, so what a joint does cannot be asked; give q1_deg .. for a "
             "diagnosis, or compare the methods for the hand-eye transformation with mbcacq compare"
         )
-    poses = first.n_poses if isinstance(recordings, Observations) else sum(r.n_poses for r in recordings)
-    if poses < OPTIONS.fewest_poses:
-        raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
-    chosen = options_for(first, options or CalibrationOptions())
-    asked = Asked(folds=folds, progress=progress, options=chosen, formulas=formulas, refit=refit)
-    try:
-        with executor(workers, minutes) as by:
-            return _diagnose(recordings, asked, by)
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
+    with determined(recordings), executor(workers, minutes) as by:
+        return _diagnose(recordings, by, folds, progress, options_for(first, options or CalibrationOptions()), formulas, refit)
 
 
-def _diagnose(recordings: Observations | Sequence[Observations], asked: Asked, by: Executor) -> Diagnosis:
+def _diagnose(
+    recordings: Observations | Sequence[Observations],
+    by: Executor,
+    folds: int | None,
+    progress: Progress,
+    options: CalibrationOptions,
+    formulas: bool,
+    refit: Refit | None,
+) -> Diagnosis:
     """The diagnosis, computed ``by`` an executor."""
-    asked.progress("fitting the geometry")
-    problem, notes = linearised(recordings, asked, by)
-    refitting = Refitting(asked.refit, by.pool)
+    progress("fitting the geometry")
+    problem, notes = linearised(recordings, options, by.budget)
+    refitting = Refitting(refit, by.pool)
 
-    asked.progress("searching for effects")
-    early = repeated_early(replace(problem, budget=by.budget), asked.folds, by.pool)
+    progress("searching for effects")
+    early = repeated_early(replace(problem, budget=by.budget), folds, by.pool)
     found = search(problem)
     if problem.in_part:  # what is left nearly always asks for groups at all locations
         refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(found.members)))
     full = fit_everywhere(problem, found)
     variations = noise_variations(full)
     if variations and not problem.in_part and not problem.budget.spent:
-        asked.progress("searching for effects again, with the noise as it depends on the place")
-        problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), asked.options)
+        progress("searching for effects again, with the noise as it depends on the place")
+        problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
         full = fit_model(problem)
     kept = kept_model(full)
     refitting.begin(kept)
 
     problem = replace(problem, budget=by.budget)
-    again, halves = early or repeated(problem, full, asked.folds, by.pool)
-    validation = validated(full, again, asked.progress)
+    again, halves = early or repeated(problem, full, folds, by.pool)
+    validation = validated(full, again, progress)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)
     parts = repetitions(full, halves)
 
-    asked.progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
+    progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = replace(conclude(problem, full, validation, parts), model=kept or None)
-    if asked.formulas:
-        proposals, tried = propose(problem, full, result.effects, asked.progress)
+    if formulas:
+        proposals, tried = propose(problem, full, result.effects, progress)
         result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
     dependences = tuple(one.entry for one in variations)
     noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *left_out, *notes)
     result = replace(result, notes=noted, noise_depends_on=dependences)
     if not refitting.begun:
         return result
-    asked.progress("fitting the cell with its effects")
+    progress("fitting the cell with its effects")
     model, further = refitting.answer()
     return replace(result, model=model, notes=(*result.notes, *further))
 
 
-def linearised(recordings: Observations | Sequence[Observations], asked: Asked, by: Executor) -> tuple[DiagnosisProblem, list[str]]:
+def linearised(
+    recordings: Observations | Sequence[Observations], options: CalibrationOptions, budget: TimeBudget
+) -> tuple[DiagnosisProblem, list[str]]:
     """The recording at its geometric fit, with a note where it has more poses than can be used."""
-    problem = replace(prepare(recordings, asked.options), budget=by.budget.for_the_search)
+    problem = replace(prepare(recordings, options), budget=budget.for_the_search)
     poses = problem.linear.obs.n_poses
     if poses <= OPTIONS.most_poses:
         return problem, []

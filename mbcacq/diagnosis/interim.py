@@ -15,14 +15,12 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.findings import EvidenceSummary
 from mbcacq.diagnosis.model_fit import ModelFit, fit_model
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, elsewhere, errors_elsewhere
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
-from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.problem import DiagnosisProblem, determined, prepare
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
-from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import one_thread
 from mbcacq.model.observations import Observations
@@ -113,11 +111,6 @@ def weigh(recordings: Observations | Sequence[Observations], options: Calibratio
     geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
-    if first.n_poses < OPTIONS.fewest_poses:
-        raise CalibrationError(f"{first.n_poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
-    try:
-        with one_thread():
-            problem = prepare(recordings, options_for(first, options or CalibrationOptions()))
-            return InterimEvidence(problem, fit_model(problem))
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
+    with determined(recordings), one_thread():
+        problem = prepare(recordings, options_for(first, options or CalibrationOptions()))
+        return InterimEvidence(problem, fit_model(problem))

@@ -20,7 +20,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, first_or
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, RandomEffectsModel, conditioned_on_effects, noise_with
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel, RandomEffect, conditioned_on_effects, noise_with
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, transferred
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -64,7 +64,7 @@ class ModelFit:
         The projected problem under that noise, with geometry alone and conditioned on the parametric effects.
     evidence : EvidenceFit
         The hypotheses that were compared, of a long recording on a part of it.
-    estimated : RandomEffectsModel or None
+    estimated : EffectSet or None
         The random effects with the coefficients that the evidence gives them; None where they stand at all locations.
     """
 
@@ -75,7 +75,7 @@ class ModelFit:
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
     evidence: EvidenceFit
-    estimated: RandomEffectsModel | None = None
+    estimated: EffectSet | None = None
 
     @cached_property
     def joint(self) -> JointModel:
@@ -83,9 +83,9 @@ class ModelFit:
         return JointModel(self.geometry_only.linear, self.model, self.random, self.geometry_only.whiten)
 
     @cached_property
-    def random_effects(self) -> RandomEffectsModel | None:
-        """The random effects with their coefficients; None where there are none."""
-        return self.estimated or (self.joint.random_effects if self.random else None)
+    def random_effects(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (k,) of the random effects and their covariance (k, k)."""
+        return self.joint.random_effects if self.estimated is None else (self.estimated.coefficients, self.estimated.covariance)
 
     def stated(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (k,) of a parametric effect and their covariance (k, k), with the random effects at all locations unknown beside it:
@@ -165,11 +165,10 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     model = replace(named, members=tuple(replace(m, candidate=with_moment_uncertainty(agreed, m)) for m in named.members))
     conditioned = conditioned_on_effects(projected, model)
     model = replace(model, gain=projected.chi2 - conditioned.chi2)
-    estimated = random_effects(best) if best.unmodelled else None
-    groups = estimated.groups if estimated else ()
+    estimated = best.solved.part(lambda m: m.candidate.name == UNKNOWN) if best.unmodelled else None
     return ModelFit(
         model=model,
-        random=groups,
+        random=() if estimated is None else random_effects(best.point.linear, estimated),
         cells=cells_of(best),
         noise=best.point.noise,
         geometry_only=projected,
@@ -179,16 +178,13 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     )
 
 
-def random_effects(best: Hypothesis) -> RandomEffectsModel:
-    """The unmodelled effects of a hypothesis."""
-    found = best.solved.part(lambda m: m.candidate.name == UNKNOWN)
-    linear = best.point.linear
+def random_effects(linear: LinearProblem, found: EffectSet) -> tuple[RandomEffect, ...]:
+    """Unmodelled effects as groups, at the sizes that are most probable."""
     moved = [tuple(candidate_parts(linear, m.candidate, m.hyper)) for m in found.members]
-    groups = tuple(
+    return tuple(
         RandomEffect(m.candidate.where[0], m.candidate.depends_on, parts, m.size * m.candidate.typical)
         for m, parts in zip(found.members, moved, strict=True)
     )
-    return RandomEffectsModel(groups, found.coefficients, found.covariance)
 
 
 def cells_of(best: Hypothesis) -> tuple[LocatedMismatch, ...]:
@@ -312,17 +308,19 @@ def random_effects_everywhere(
                 return (), noise, ()
             best = {sized[g].location: LocatedMismatch(sized[g].location, sized[g].depends_on, float(each[g])) for g in np.argsort(each)}
             cells = tuple(sorted(best.values(), key=lambda cell: -cell.log_bayes_factor))
-        noise = noise_left_by(linear, there, joint.random_effects, noise, problem.prior_noise)
+        noise = noise_left_by(joint, noise, problem.prior_noise)
     chosen_groups = ((e, s * g.sigma) for e, g, s in zip(everywhere, groups, sizes, strict=True) if s > 0)
     return tuple(replace(e, sigma=sigma) for e, sigma in chosen_groups), noise, cells
 
 
-def noise_left_by(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel, start: Noise, prior: NoisePrior) -> Noise:
+def noise_left_by(joint: JointModel, start: Noise, prior: NoisePrior) -> Noise:
     """Noise of what random effects leave, counting the coefficients they used."""
-    remaining = linear.with_residual(linear.residual - smooth.displacement(linear))
-    noise = noise_with(remaining, model, start, prior)
+    linear, (coefficients, covariance) = joint.linear, joint.random_effects
+    moved = joint.displacement(np.r_[np.zeros(len(joint.sigma) - len(coefficients)), coefficients])
+    noise = noise_with(linear.with_residual(linear.residual - moved), joint.model, start, prior)
     rows = float(linear.keep.sum() * linear.width)
-    grow = np.sqrt(rows / max(rows - smooth.used, 0.3 * rows))
+    used = float(np.sum(1.0 - np.diag(covariance) / joint.sigma[-len(coefficients) :] ** 2))
+    grow = np.sqrt(rows / max(rows - used, 0.3 * rows))
     return Noise(noise.point * grow, noise.joint * grow, noise.turn * grow)
 
 

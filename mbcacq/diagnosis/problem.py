@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +20,12 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
-from mbcacq.estimation.adjustment import Adjustment, adjust_recording
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
-from mbcacq.estimation.several_recordings import adjust_together
+from mbcacq.estimation.several_recordings import joint_problem
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
@@ -90,6 +92,18 @@ class DiagnosisProblem:
         return replace(self, linear=linear)
 
 
+@contextmanager
+def determined(recordings: Observations | Sequence[Observations]) -> Iterator[None]:
+    """Raises CalibrationError for fewer poses than a diagnosis needs, and where it turns out that they do not determine the cell."""
+    poses = sum(r.n_poses for r in ([recordings] if isinstance(recordings, Observations) else recordings))
+    if poses < OPTIONS.fewest_poses:
+        raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the recording does not determine the cell ({error}): measure more stations and orientations") from error
+
+
 def prepare(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> DiagnosisProblem:
     """The recording adjusted as calibration does it: the same poses, outliers, noise and geometry.
 
@@ -102,8 +116,9 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
         obs, parts = select_phases(recordings, options), ()
         adjusted = adjust_recording(obs, options)
     else:
-        together = adjust_together(recordings, options)
-        obs, adjusted, parts = together.observations, together.adjusted, together.parts
+        together = joint_problem(recordings, options)
+        obs, parts = together.observations, together.parts
+        adjusted = adjust(obs, replace(options, start=together.start))
     fit, whole = adjusted_fit(options, adjusted)
     each = [share_of(fit, whole, parts, r, options) for r in range(len(parts))] or [(fit, whole)]
     problem = problem_of(obs, options, adjusted)

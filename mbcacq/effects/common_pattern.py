@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+
+from mbcacq.estimation.random_effect_sizes import eliminated
 
 STEPS = 180  # offsets over a turn that are compared: 2 deg, a seventh of a period at order 25
 OFFSETS = 2 * np.pi * np.arange(STEPS) / STEPS  # rad
@@ -202,12 +203,7 @@ class PatternComparison:
     def of(cls, errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> PatternComparison:
         S, b, keep = _with_pattern(errors, found, joint)
         k2 = len(errors.pattern)
-        rest = np.setdiff1d(np.arange(len(b)), keep)
-        scale = 1 / np.sqrt(np.diag(S)[rest])
-        root = np.linalg.cholesky(scale[:, None] * S[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
-        taken = solve_triangular(root, scale[:, None] * np.c_[S[np.ix_(rest, keep)], b[rest]], lower=True)
-        J = S[np.ix_(keep, keep)] - taken[:, :-1].T @ taken[:, :-1]
-        h = b[keep] - taken[:, :-1].T @ taken[:, -1]
+        J, h = eliminated(S, b, keep)
         own = J.copy()
         own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
         size = np.concatenate([errors.pattern, errors.sigma[joint]])

@@ -20,33 +20,6 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
-__all__ = [
-    "BREAKPOINT",
-    "Candidate",
-    "DescribedPart",
-    "FADING",
-    "HyperEstimate",
-    "Hyperparameter",
-    "MOMENT",
-    "Missing",
-    "ON_THE_ARM",
-    "ORDER",
-    "ParameterEstimate",
-    "PriorOdds",
-    "Parameters",
-    "StandstillRows",
-    "Support",
-    "Report",
-    "joined_parameters",
-    "label_of",
-    "number",
-    "parameter_in_words",
-    "plain_effect",
-    "plain_report",
-    "standard_deviations",
-    "vector",
-]
-
 # What a hyper-parameter is; the search knows how each of these is refined, how uncertain it is and what it is confused with.
 MOMENT = "moment"  # rank in time of the first pose after a change
 ORDER = "order"  # periods a turn of the angle that the effect depends on

@@ -15,7 +15,6 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
 from mbcacq.effects.learnt_range import is_angle
-from mbcacq.estimation.random_effect_sizes import Ending
 
 DEVIATION = "deviation"
 
@@ -43,7 +42,7 @@ class UnmodelledOptions:
     deviation_rad: float = 1e-5  # of each further order; the size of both together is estimated for each joint
     smallest: float = 1e-4  # of a group's prior size: it is dropped below
     largest: float = 10.0  # times a group's prior size: no group is believed to be larger
-    ending: Ending = Ending(60, least_rise=0.1)  # of the fixed point of sizes; noise and coefficients are found anew by thousands of poses
+    ending: tuple[int, float] = (60, 0.1)  # of the fixed point of sizes; noise and coefficients are found anew by thousands of poses
 
 
 OPTIONS = UnmodelledOptions()

@@ -7,7 +7,6 @@ their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,21 +21,13 @@ OTHERS = 3.0
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
 
 
-@dataclass(frozen=True)
-class Ending:
-    """When sizes stay: after so many rounds, or after one that raises the log marginal likelihood by less than ``least_rise``."""
-
-    rounds: int
-    least_rise: float = LEAST_RISE
-
-
 def sizes_by_marginal_likelihood(
     S: np.ndarray,
     b: np.ndarray,
     slices: Sequence[slice],
     start: np.ndarray,
     limits: tuple[float | np.ndarray, float],
-    ending: Ending,
+    ending: tuple[int, float],
     fixed: np.ndarray | None = None,
     expected: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -44,6 +35,7 @@ def sizes_by_marginal_likelihood(
 
     S (k, k), b (k,): normal equations without the priors, in units in which the coefficients of a group are alike; slices: the
     coefficients of each group; start: (G,) sizes to begin with. limits: smallest size, below which a group is dropped, and largest.
+    ending: number of rounds after which sizes stay, and rise of the log marginal likelihood in one below which they stay after it.
     fixed: (G,) bool of the groups whose size is kept. expected: (G,) size that such groups usually have, as OTHERS coefficients elsewhere
     would show it; zero where nothing is known of it.
     """
@@ -56,7 +48,7 @@ def sizes_by_marginal_likelihood(
     alive = np.flatnonzero(variance > 0)
     normal, right, count = _equations_of(S, b, slices, alive)
     reached = -np.inf
-    for _ in range(ending.rounds):
+    for _ in range(ending[0]):
         if not len(alive):
             break
         before, first = variance[alive], np.cumsum(count) - count
@@ -68,7 +60,7 @@ def sizes_by_marginal_likelihood(
         after = np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0)
         after = np.where(kept[alive], before, np.where(after > floor[alive], after, 0.0))
         variance[alive] = after
-        if 0 <= rise < ending.least_rise or np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
+        if 0 <= rise < ending[1] or np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
             break
         if not after.all():
             alive = alive[after > 0]
@@ -98,7 +90,7 @@ def sizes_of_groups(
     """
     S, b, slices = _conditioned(normal, prior, groups)
     usual = np.array([(expected or {}).get(name, 0.0) / prior.sigma[index[0]] for name, index in groups.items()])
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), Ending(rounds), expected=usual)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), (rounds, LEAST_RISE), expected=usual)
     return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
 
 
@@ -108,7 +100,7 @@ def gain_of_groups(
     """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size, zero of
     groups smaller than the first of the limits."""
     S, b, slices = _conditioned(normal, prior, groups)
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), limits, Ending(rounds))
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), limits, (rounds, LEAST_RISE))
     size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
     alive, by_name = size > 0, dict(zip(groups, found.tolist(), strict=True))
     if not alive.any():
@@ -151,21 +143,29 @@ def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray])
     """Normal equations S (k, k), b (k,) of the groups' coefficients, without their priors and in units of their present sigma, the other
     parameters eliminated; and the slice of each group."""
     index = np.concatenate(list(groups.values()))
-    sigma, now = prior.sigma[index], np.zeros(normal.size)
-    now[index] = prior.offset[index]
-    weight = np.zeros(normal.size)
-    weight[index] = sigma**-2.0
-    information = normal.information - np.diag(weight)
-    right = normal.gradient + weight * now + information @ now  # for the coefficients themselves, not for their change
-    rest = np.delete(np.arange(normal.size), index)
-    S, b = information[np.ix_(index, index)], right[index]
-    if len(rest):
-        scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
-        factor = np.linalg.cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
-        root = inverse_of_lower(factor) * scale
-        taken = root @ information[np.ix_(rest, index)]
-        S, b = S - taken.T @ taken, b - taken.T @ (root @ right[rest])
+    S, b = eliminated(*without_prior(normal, prior, index), index)
+    sigma = prior.sigma[index]
     return sigma[:, None] * S * sigma, sigma * b, list(consecutive(len(i) for i in groups.values()))
+
+
+def without_prior(normal: Normal, prior: Prior, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information (g, g) and right-hand side (g,) without the prior, about zero, of the parameters at index (k,): for their coefficients
+    themselves, and for the change of all others.
+    """
+    now, weight = np.zeros(normal.size), np.zeros(normal.size)
+    now[index], weight[index] = prior.offset[index], prior.sigma[index] ** -2.0
+    information = normal.information - np.diag(weight)
+    return information, normal.gradient + weight * now + information @ now
+
+
+def eliminated(information: np.ndarray, right: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations S (k, k), b (k,) of the parameters at index (k,), all others of these (g, g), (g,) at their best values."""
+    rest = np.delete(np.arange(len(right)), index)
+    scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
+    factor = np.linalg.cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
+    root = inverse_of_lower(factor) * scale
+    taken = root @ information[np.ix_(rest, index)]
+    return information[np.ix_(index, index)] - taken.T @ taken, right[index] - taken.T @ (root @ right[rest])
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

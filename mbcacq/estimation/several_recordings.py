@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.geometry.chain import Chain
@@ -28,15 +28,6 @@ BALL_STEP = 1000  # certificate numbers of the second recording begin here, thos
 
 
 OF_ONE = re.compile(r"hand_eye\[\d+\]|@\d+")  # in names that stand in the common problem only
-
-
-@dataclass(frozen=True)
-class JointAdjustment:
-    """observations: all recordings as one. adjusted: their common adjustment. parts: each recording by itself, as it was fitted alone."""
-
-    observations: Observations
-    adjusted: Adjustment
-    parts: tuple[Adjustment, ...]
 
 
 @dataclass(frozen=True)
@@ -57,13 +48,6 @@ def joint_problem(recordings: Sequence[Observations], options: CalibrationOption
     alone = replace(options, refuse=False, terms=(), hold=hold)
     parts = tuple(adjust_recording(select_phases(one, options), alone) for one in recordings)
     return JointProblem(combined([part.lineariser.obs for part in parts], parts), parts, combined_state(parts))
-
-
-def adjust_together(recordings: Sequence[Observations], options: CalibrationOptions) -> JointAdjustment:
-    """One adjustment of several recordings; raises as ``joint_problem``."""
-    problem = joint_problem(recordings, options)
-    fitted = adjust(problem.observations, replace(options, start=problem.start))
-    return JointAdjustment(problem.observations, fitted, problem.parts)
 
 
 def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) -> Observations:

@@ -57,6 +57,20 @@ class Term:
         return replace(self, parts=at_poses(self.parts, poses, pose))
 
 
+SHARED = "unknown:shared"  # as all coefficients that mean nothing by themselves
+
+
+def shared_errors(obs: Observations) -> tuple[Term, ...]:
+    """The errors that all measurements of a recording share, as one term of coefficients of variance 1; () without any."""
+    if obs.shared is None or not obs.shared.size:
+        return ()
+    parts = [Part("point", 0, c, obs.shared[:, c]) for c in range(3)]
+    if obs.rotation is not None:  # about the instrument's axes, where a part turns about the target's own
+        own = np.swapaxes(obs.rotation, 1, 2) @ obs.shared[:, 3:]
+        parts += [Part("orientation", 0, c, own[:, c]) for c in range(3)]
+    return (term(SHARED, parts, [f"{SHARED}_{k + 1}" for k in range(obs.shared.shape[2])], sigma=1.0),)
+
+
 def at_poses(parts: Sequence[Part], poses: np.ndarray, pose: np.ndarray) -> tuple[Part, ...]:
     """Parts at some poses (P,) bool of a recording; pose: (M,) of its centres."""
     return tuple(replace(p, basis=p.basis[poses if p.place in PER_POSE else poses[pose]]) for p in parts)

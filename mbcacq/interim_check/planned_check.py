@@ -16,7 +16,15 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.interim_check.e_process import Rows, weight_of
 from mbcacq.interim_check.options import OPTIONS, CheckOptions, UsualChanges
-from mbcacq.interim_check.possible_changes import PossibleChange, jitter, possible_changes, rows_of, station_columns, twist_columns
+from mbcacq.interim_check.possible_changes import (
+    PossibleChange,
+    jitter,
+    joint_columns,
+    possible_changes,
+    rows_of,
+    station_columns,
+    twist_columns,
+)
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
@@ -92,7 +100,7 @@ def _daily(
     obs: Observations, state: CellState, prediction: Prediction, stations: list[np.ndarray], standing: bool, days: UsualChanges
 ) -> np.ndarray:
     """(R, d): what one standard deviation of each change from day to day does."""
-    joints = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * days.joint
+    joints = joint_columns(state, prediction) * days.joint
     mount = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * np.repeat([days.mount_mm, days.mount_rad], 3)
     placed = [part * np.repeat([days.station_mm, days.station_rad], 3) for part in stations] if standing else []
     return np.concatenate([rows_of(joints), rows_of(mount), *placed], axis=1)

@@ -77,8 +77,13 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
+def joint_columns(state: CellState, prediction: Prediction) -> np.ndarray:
+    """(M, R, n): by the zero of each joint."""
+    return prediction.by_twists(state.chain.joint_twists(prediction.frames))
+
+
 def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))
+    J = joint_columns(state, prediction)
     usual = np.array([OPTIONS.mastering])
     axes = [(f"A{j + 1}", rows_of(J[:, :, j : j + 1] * usual)) for j in range(state.chain.n)]
     return [PossibleChange("mastering", axis, (f"{axis} zero",), ("rad",), usual, columns) for axis, columns in axes]
@@ -157,7 +162,7 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
-    J = prediction.by_twists(context.state.chain.joint_twists(prediction.frames))
+    J = joint_columns(context.state, prediction)
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
     usual = OPTIONS.tool_kg * OPTIONS.elastic
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
@@ -169,7 +174,7 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
 
 def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
+    J = joint_columns(state, prediction) * OPTIONS.unnamed
     n = J.shape[2]
     k = obs.n_poses * n
     columns = np.zeros((J.shape[0], J.shape[1], k))

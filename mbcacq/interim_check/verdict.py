@@ -15,7 +15,7 @@ from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS
 from mbcacq.interim_check.planned_check import PlannedCheck
-from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, station_columns
+from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, joint_columns, rows_of, station_columns
 from mbcacq.model.json_text import keyed
 
 AS_BEFORE, CHANGED = "as_before", "changed"
@@ -195,9 +195,8 @@ def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
     A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
-    A = A.reshape(-1, A.shape[2])[evidence.keep]
-    J = prediction.by_twists(check.state.chain.joint_twists(prediction.frames)) * OPTIONS.discrepancy
-    J = J.reshape(-1, J.shape[2])[evidence.keep]
+    A = rows_of(A)[evidence.keep]
+    J = rows_of(joint_columns(check.state, prediction) * OPTIONS.discrepancy)[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
     return A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
 

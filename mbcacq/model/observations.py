@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.model.board_images import BoardImages
 from mbcacq.model.cell import Cell
 
 
@@ -59,6 +60,9 @@ class Observations:
     covariance : (M, R, R) ndarray or None
         Covariance that each measurement states: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and rotation vector in the
         instrument's frame, mm^2, mm rad, rad^2).
+    shared : (M, R, K) ndarray or None
+        Change of each measurement by one standard deviation of each of K errors that all measurements share, such as those of a camera's
+        intrinsics, mm and rad.
     scale
         Factor by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
     recording : (P,) ndarray or None
@@ -67,6 +71,8 @@ class Observations:
         Sigma of a centre's coordinates and of each joint, relative to those of the first recording.
     payload_com : (P, 3) ndarray or None
         Centre of gravity of the payload in the flange frame, mm.
+    images : BoardImages or None
+        The images from which the observations were made.
     extra
         Columns that this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
     cell_yaml
@@ -95,10 +101,12 @@ class Observations:
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
     covariance: np.ndarray | None = None
+    shared: np.ndarray | None = None
     scale: float | None = None
     recording: np.ndarray | None = None
     noise_scale: np.ndarray | None = None
     payload_com: np.ndarray | None = None
+    images: BoardImages | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_yaml: str = ""
 
@@ -162,7 +170,7 @@ POSE_COLUMNS = (
     "sensor_time_s", "flange_velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
-CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance")
+CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance", "shared")
 
 
 def _take(array: np.ndarray | None, mask: np.ndarray) -> np.ndarray | None:

@@ -476,6 +476,8 @@ class Content:
     spheres: Spheres | None = None
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
+    camera: list[tuple[str, str]] = field(default_factory=list)
+    images: list[tuple[str, str, str, str, str]] = field(default_factory=list)
     diagnosis: DiagnosisContent | None = None
     motion: DiagnosisContent | None = None
     earlier: Spacing | None = None

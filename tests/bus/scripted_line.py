@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 
 from late_peers import rtu_cut
-from mbcacq_bus import modbus_link, modbus_transport, serial, serial_link, serial_positioner
+from mbcacq_bus import modbus_link, modbus_transport, serial, serial_link, stations
 from pymodbus.client import serial as pymodbus_serial
 
 
@@ -85,9 +85,8 @@ class ScriptedLine:
 
     def install(self, monkeypatch) -> None:
         """Whoever opens a serial line has this one."""
-        for module in (serial, serial_link):
-            monkeypatch.setattr(module, "open_port", lambda *_, **__: self)
-        for module in (serial, serial_link, serial_positioner):
+        monkeypatch.setattr(serial_link, "open_port", lambda *_, **__: self)
+        for module in (serial, serial_link, stations):
             monkeypatch.setattr(module, "time", self)
 
 

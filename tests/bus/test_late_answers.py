@@ -16,7 +16,7 @@ from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_link import SerialConnection, SerialLink
 from scripted_line import ScriptedLine, ScriptedRtu
 
-from mbcacq.devices import DeviceTimeout, ProtocolError
+from mbcacq.devices import DeviceTimeout
 
 VALUES = {"robot_C": 301, "air_C": 215, "bar_C": 184}
 WANTED = {"robot_C": 30.1, "air_C": 21.5, "bar_C": 18.4}
@@ -194,8 +194,8 @@ def test_whatever_a_library_raises_of_a_lost_port_is_reported_as_lost(error):
     with pytest.raises(DeviceTimeout, match="was lost"):
         link.ask("POS?\n")
     sensor = SerialSensor("s", "", {"port": "COM3", "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": LIMIT_S})
-    sensor._port = LostPort(error)
-    with pytest.raises(ProtocolError, match="connection was lost"):
+    sensor._link._port = LostPort(error)
+    with pytest.raises(DeviceTimeout, match="was lost"):
         sensor.read()
 
 

@@ -1,7 +1,7 @@
 """Values of one reading against the last: exchanged ones, and faster ones than the plan allows."""
 
 import pytest
-from mbcacq_bus import serial
+from mbcacq_bus import serial_link
 from mbcacq_bus.modbus import ModbusSensor
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
@@ -87,7 +87,7 @@ TWO = r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)"
 @pytest.fixture
 def patient(monkeypatch):
     """Options of a sensor that waits long for an answer, and not so long for silence."""
-    monkeypatch.setattr(serial, "_QUIET", 0.01)
+    monkeypatch.setattr(serial_link, "_QUIET", 0.01)
     return {"line": TWO, "units": {"air_C": "C", "robot_C": "C"}, "timeout_s": 30.0}
 
 

@@ -7,7 +7,7 @@ import pytest
 from cells import kr10, measure, scanner_cell
 
 from mbcacq.calibration.calibrate import calibrate
-from mbcacq.calibration.change import found_change, kinds_of_change
+from mbcacq.calibration.change import evidence_of_change, kinds_of_change
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.step_test import StepTest
@@ -35,7 +35,7 @@ def slipped(cell, first, mm=0.06):
 
 
 def change_in(obs):
-    return found_change(adjust_recording(obs, HAND_EYE_ALONE))
+    return evidence_of_change(adjust_recording(obs, HAND_EYE_ALONE)).found
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -81,7 +81,7 @@ def test_a_ball_that_moved_so_far_that_its_centres_are_rejected_is_named():
     obs = remeasured(cell, replace(cell.truth, balls=balls), 30)
     fitted = adjust_recording(obs, HAND_EYE_ALONE)
     assert np.sum(fitted.weights.centre == 0) > 10
-    change = found_change(fitted)
+    change = evidence_of_change(fitted).found
     assert (change.kind, change.where, change.nth) == ("ball", "5", 31)
 
 

@@ -45,8 +45,9 @@ class MakesUp(SerialSensor):
 
 
 class Believes(SerialSensor):
-    def _identify(self):
-        pass
+    def connect(self):
+        self._link._identity = None
+        super().connect()
 
 
 class TakesAll(SerialSensor):

@@ -44,7 +44,7 @@ def test_a_shifted_ball_is_reported_as_a_parametric_effect(large_plan):
     found = model_fit.fit_model(prepare(observed))
 
     assert found.model.names == ("ball_shift",)
-    assert found.random_effects is None
+    assert not found.random
 
 
 def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
@@ -83,7 +83,7 @@ def test_two_effects_are_named_although_one_block_would_fit_both(plan):
     found = model_fit.fit_model(prepare(simulated.observe(plan, 168, two)))
 
     assert found.model.names == ("joint_compliance", "joint_scale")
-    assert found.random_effects is None
+    assert not found.random
 
 
 def test_a_station_drift_is_validated_on_the_other_stations(plan):

@@ -122,7 +122,7 @@ def test_an_unmodelled_effect_is_not_explained_by_a_parametric_one(plan):
     found = model_fit.fit_model(prepare(simulated.observe(plan, 108, [bending_of_link_two])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
-    assert found.random_effects is not None
+    assert found.random
 
 
 def cubic_lens(context):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.estimation.random_effect_sizes import Ending, sizes_by_marginal_likelihood
+from mbcacq.estimation.random_effect_sizes import LEAST_RISE, sizes_by_marginal_likelihood
 
 COLUMNS, ROWS = 200, 900
 SLICES = [slice(0, 60), slice(60, 120), slice(120, 200)]
@@ -29,7 +29,7 @@ def log_marginal_likelihood(S, b, sizes):
 def test_sizes_are_recovered_and_a_group_of_nothing_vanishes():
     found = np.array(
         [
-            sizes_by_marginal_likelihood(*equations((0.5, 2.0, 0.0), seed), SLICES, np.ones(3), (0.02, 100.0), Ending(100))
+            sizes_by_marginal_likelihood(*equations((0.5, 2.0, 0.0), seed), SLICES, np.ones(3), (0.02, 100.0), (100, LEAST_RISE))
             for seed in range(20)
         ]
     )
@@ -39,7 +39,7 @@ def test_sizes_are_recovered_and_a_group_of_nothing_vanishes():
 
 def test_the_marginal_likelihood_is_at_its_maximum():
     S, b = equations((0.5, 2.0, 0.1), 7)
-    found = sizes_by_marginal_likelihood(S, b, SLICES, np.ones(3), LIMITS, Ending(500))
+    found = sizes_by_marginal_likelihood(S, b, SLICES, np.ones(3), LIMITS, (500, LEAST_RISE))
     best = log_marginal_likelihood(S, b, found)
     for g in range(3):
         for factor in (0.8, 1.25):
@@ -50,8 +50,8 @@ def test_the_marginal_likelihood_is_at_its_maximum():
 
 def test_the_start_does_not_matter_and_a_kept_size_stays():
     S, b = equations((0.5, 2.0, 0.1), 8)
-    small, large = (sizes_by_marginal_likelihood(S, b, SLICES, np.full(3, start), LIMITS, Ending(500)) for start in (0.1, 10.0))
+    small, large = (sizes_by_marginal_likelihood(S, b, SLICES, np.full(3, start), LIMITS, (500, LEAST_RISE)) for start in (0.1, 10.0))
     np.testing.assert_allclose(small, large, rtol=0.06)
-    kept = sizes_by_marginal_likelihood(S, b, SLICES, np.full(3, 0.7), LIMITS, Ending(500), np.array([True, False, False]))
+    kept = sizes_by_marginal_likelihood(S, b, SLICES, np.full(3, 0.7), LIMITS, (500, LEAST_RISE), np.array([True, False, False]))
     assert kept[0] == pytest.approx(0.7)
     np.testing.assert_allclose(kept[1], small[1], rtol=0.1)

@@ -13,13 +13,15 @@ from mbcacq.diagnosis.evidence.hypothesis import SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.nonparametric import basis_functions
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.output.kept_model import kept_model, unmodelled_terms
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.validation.cross_validation import validated
+from mbcacq.diagnosis.validation.folds import repeated
 from mbcacq.diagnosis.verdict import conclude, verdict_of
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -93,7 +95,7 @@ def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
 def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
     setup = prepare(simulated.observe(plan, 121, [twist_of_link_two_that_saturates]))
     full = model_fit.fit_model(setup)
-    reported = conclude(setup, full, cross_validation.cross_validate(setup, full, folds=2))
+    reported = conclude(setup, full, validated(full, repeated(setup, full, 2, WorkerPool())[0]))
 
     assert reported.verdict == "unexplained"
     assert reported.mismatch[0].at == "link2"
@@ -123,7 +125,7 @@ def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_b
         found = model_fit.fit_model(setup)
         assert found.model.members == ()
         assert found.cells[0].location == "A5"
-        scores = cross_validation.cross_validate(setup, found, 3)
+        scores = validated(found, repeated(setup, found, 3, WorkerPool())[0])
         return 1 - scores.after.square / scores.before.square
 
     of_both = squares_removed()

@@ -14,7 +14,8 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.diagnosis.validation import cross_validation
+from mbcacq.diagnosis.validation.cross_validation import validated
+from mbcacq.diagnosis.validation.folds import repeated
 from mbcacq.errors import CalibrationError
 
 
@@ -140,8 +141,8 @@ def fitted(plan):
 def test_two_workers_give_the_same_cross_validation_as_one(fitted, pool):
     setup, full = fitted
 
-    one = cross_validation.cross_validate(setup, full, 2)
-    two = cross_validation.cross_validate(setup, full, 2, pool)
+    one = validated(full, repeated(setup, full, 2, WorkerPool())[0])
+    two = validated(full, repeated(setup, full, 2, pool)[0])
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one

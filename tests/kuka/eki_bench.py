@@ -64,13 +64,11 @@ class Bench:
         self.say(kind=0)
         return self.socket
 
-    def say(self, kind=0, number=0, speed=20.0, accel=50, axes=HOME, frame=(0.0,) * 6, ticks=6, extra=b""):
+    def say(self, kind=0, number=0, speed=20.0, accel=50, axes=HOME, ticks=6, extra=b""):
         """A command, by hand, as the controller's files describe it."""
         a = " ".join(f'A{i + 1}="{v}"' for i, v in enumerate(axes))
-        f = " ".join(f'{n}="{v}"' for n, v in zip("XYZABC", frame, strict=True))
         self.send(
-            f'<Command Kind="{kind}" Id="{number}" Beat="7" Speed="{speed}" Accel="{accel}"><Axis {a}></Axis><Frame {f}></Frame></Command>'.encode()
-            + extra
+            f'<Command Kind="{kind}" Id="{number}" Beat="7" Speed="{speed}" Accel="{accel}"><Axis {a}></Axis></Command>'.encode() + extra
         )
         self.ticks(ticks)
 

@@ -60,11 +60,9 @@ def test_a_session(answer):
         client.reset()
         client.start()
         client.cancel()
-        client.drives_off()
-        assert client.status.operation_mode == 4
-        assert not client.status.drives_powered
+        assert (client.status.control_mode, client.status.cycle_time, client.status.emergency_stop) == (0, 1, False)
     assert started == [(1, 1), (1, 1)]
-    assert [r[0] for r in server.requests] == [0, 4, 1, 6, 8, 1, 2, 1, 3, 7]
+    assert [r[0] for r in server.requests] == [0, 4, 1, 6, 8, 1, 2, 1, 3]
 
 
 def refused(request):
@@ -81,7 +79,7 @@ def test_the_server_takes_only_what_its_state_allows():
         client.choose_joint_position()
         refused(client.reset)
         client.start()
-        for request in (client.start, client.choose_joint_position, client.drives_off):  # the program runs
+        for request in (client.start, client.choose_joint_position, client.drives_on):  # the program runs
             refused(request)
         client.cancel()
         refused(client.start)
@@ -218,8 +216,8 @@ def test_a_late_answer_is_not_taken_for_that_to_the_next_request():
 def test_a_connection_that_the_server_closed_meanwhile_is_made_again():
     with FakeEki(pause_s=0.0) as server, EkiClient("127.0.0.1", server.port) as client:
         client.drives_on()
-        client._socket.shutdown(socket.SHUT_RDWR)
-        client.drives_off()
-        client._socket.shutdown(socket.SHUT_RDWR)
+        client._link._socket.shutdown(socket.SHUT_RDWR)
+        client.drives_on()
+        client._link._socket.shutdown(socket.SHUT_RDWR)
         with pytest.raises(ConnectError):  # what was chosen is forgotten: not started
             client.start()

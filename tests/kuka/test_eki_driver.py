@@ -117,7 +117,7 @@ def test_before_connecting():
 def test_the_bytes_of_a_command():
     assert telegrams.command(telegrams.PTP, 7, 96, 30.0, 50, (1.5, -90, 90, 0, 1, 0)) == (
         b'<Command Kind="1" Id="7" Beat="96" Speed="30.000000" Accel="50"><Axis A1="1.500000" A2="-90.000000" A3="90.000000" A4="0.000000" '
-        b'A5="1.000000" A6="0.000000"></Axis><Frame X="0.000000" Y="0.000000" Z="0.000000" A="0.000000" B="0.000000" C="0.000000"></Frame></Command>'
+        b'A5="1.000000" A6="0.000000"></Axis></Command>'
     )
 
 

@@ -15,7 +15,7 @@ def test_a_connection_has_ended_once_what_waited_in_it_was_received():
             far.sendall(b"<Rob")  # the beginning of a telegram
             far.close()
             assert not link.has_ended
-            assert link.receive(5.0) == []
+            assert link.telegrams(5.0) == []
             deadline = time.monotonic() + 30.0
             while not link.has_ended and time.monotonic() < deadline:
                 pass

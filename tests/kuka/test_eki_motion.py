@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eki_arm import FAR, HOME, HOME_DEG, on_the_way, stands
 from eki_bench import EKI_LIMITS_DEG, SYSTEMS
-from kuka_bench import arrive, motion_limits, until_error, wait
+from kuka_bench import arrive, motion_limits, until_error
 
 from mbcacq.devices import ConfigError, ConnectError, Robot, SafetyStop
 
@@ -40,22 +40,6 @@ def test_a_new_target_on_the_way_stops_and_turns(eki_cell):
     arrive(robot)
     assert max(np.degrees(robot.cycles().columns["q"][:, 0])) < 4.0
     np.testing.assert_allclose(fake.state.read().q, HOME, atol=2e-4)
-
-
-def test_a_linear_move(eki_cell):
-    fake, robot = eki_cell()
-    here = wait(lambda: len(cycles := robot.cycles()) and cycles).columns["tool_in_base_mm_deg"][-1]
-    goal = here + [-15.0, 10.0, 5.0, 0.0, 0.0, 0.0]
-    robot.move_linear(goal, 50.0)
-    arrive(robot)
-    path = robot.cycles().columns["tool_in_base_mm_deg"]
-    away = path[-1] - goal
-    away[3:] = (away[3:] + 180.0) % 360.0 - 180.0
-    np.testing.assert_allclose(away, 0.0, atol=0.01)
-    with pytest.raises(SafetyStop, match="path_speed_mm_s"):
-        robot.move_linear(goal, 300.0)
-    with pytest.raises(ConfigError):
-        robot.move_linear([1.0], 10.0)
 
 
 def test_speed_is_a_share_of_the_slowest_axis(eki_cell):

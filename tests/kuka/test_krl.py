@@ -14,8 +14,8 @@ class Motion:
     def moving(self):
         return self.left > 0
 
-    def begin(self, kind, target):
-        self.log.append((kind, target))
+    def begin(self, target):
+        self.log.append(("ptp", target))
         self.left = 3
 
     def brake(self):

@@ -115,8 +115,7 @@ def test_a_program_that_dies_in_a_pulse_leaves_it_off(cell):
     krc, robot = cell(krc={"digital_outputs": (3,)}, robot={"digital_outputs": [3]})
     robot.set_output(3, True)
     process = robot._process._process
-    process.stdin.close()
-    process.stdin = None
+    process.input.close()
     wait(lambda: not krc.state.output(3)[0])
 
 

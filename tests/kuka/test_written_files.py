@@ -35,7 +35,6 @@ EKI = {
     "tool": 7,
     "base": 2,
     "acceleration_percent": 35,
-    "path_speed_mm_s": 120.0,
     "controller_silence_ms": 800,
     "state_ms": 36,
 }
@@ -49,12 +48,11 @@ def test_the_plans_numbers_stand_in_the_eki_files():
     files = KukaEki.controller_files("arm", "KR 10", EKI, FACTS)
     for system in ("kss", "iiqka"):
         data = files[f"{system}/Program/mbcacq_eki.dat"]
-        assert [number(data, n) for n in ("mb_tool", "mb_base", "mb_max_vel", "mb_max_acc", "mb_max_path", "mb_silence", "mb_period")] == [
+        assert [number(data, n) for n in ("mb_tool", "mb_base", "mb_max_vel", "mb_max_acc", "mb_silence", "mb_period")] == [
             7,
             2,
             42,
             35,
-            120,
             800,
             36,
         ]

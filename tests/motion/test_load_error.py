@@ -7,7 +7,7 @@ import pytest
 from test_diagnose_trajectories import recording, torque
 
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
-from mbcacq.diagnosis.motion.diagnose import explain_trajectories
+from mbcacq.diagnosis.motion.diagnose import Recordings
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import fit_selected, with_load
 from mbcacq.diagnosis.motion.load_error import load_error
@@ -81,7 +81,7 @@ def test_the_stated_error_of_the_load_is_that_of_arms_whose_masses_and_offsets_a
 
 
 def test_a_load_whose_torque_is_not_explained_is_wrong_by_a_share_of_itself():
-    fits = explain_trajectories([recording(1, compliance=SOFT), recording(2, compliance=SOFT)])
+    fits = Recordings([recording(1, compliance=SOFT), recording(2, compliance=SOFT)]).explain()[0]
     torque_fit = next(fit for fit in fits if fit.group.name == "tau")
     unexplained = replace(torque_fit, train_after=1e3 * torque_fit.floor**2)
     signals = tuple(prepare(recording(seed, compliance=SOFT))[0] for seed in (1, 2))

@@ -72,7 +72,7 @@ def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
 
 
 @pytest.mark.parametrize(
-    "term", ["reml", "bayes_factor", "beam_search", "e_value", "whiten", "gauss_newton", "inverse_kinematics", "d_optimal"]
+    "term", ["reml", "bayes_factor", "beam_search", "e_value", "whiten", "gauss_newton", "inverse_kinematics", "doptimality"]
 )
 def test_a_reader_finds_the_term_by_name(term):
     assert any(term in name.lower() for name in defined())

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, Scan
+from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, Scan, hang_up, has_ended
 from mbcacq_gocator import wire
 from mbcacq_gocator.conversion import picked
 from mbcacq_gocator.gopxl import gdp, tree
@@ -67,11 +67,11 @@ class GoPxLSession:
     @property
     def has_ended(self) -> bool:
         """Whether the sensor has closed a connection since it was used, e.g. as idle."""
-        return self.control.has_ended or wire.has_ended(self._data)
+        return self.control.has_ended or has_ended(self._data)
 
     def close(self) -> None:
         self.control.close()
-        wire.shut(self._data)
+        hang_up(self._data)
         self._data = self._reader = None
         self._running = False
 

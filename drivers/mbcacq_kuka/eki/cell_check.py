@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.devices import DeviceFault, IdentityError, same_model
 from mbcacq_kuka.eki.options import EkiOptions, mode_name
-from mbcacq_kuka.eki.telegrams import INTERFACE, WITHOUT_OUTPUTS, Hello, State
+from mbcacq_kuka.eki.telegrams import INTERFACE, Hello, State
 
 _FRAME_MM, _FRAME_DEG = 0.01, 0.01
 
@@ -17,7 +17,6 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
     """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
     where = f"robot '{name}': the controller at {options.address}"
     check_robot(where, model, hello)
-    check_outputs(where, options, hello)
     check_tool(where, options, hello, state)
     check_mode(where, options, state)
     for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
@@ -31,7 +30,7 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
 
 
 def check_robot(where: str, model: str, hello: Hello) -> None:
-    if hello.interface not in (INTERFACE, WITHOUT_OUTPUTS):
+    if hello.interface != INTERFACE:
         raise IdentityError(
             f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
             "copy the files that `mbcacq controller-files` writes"
@@ -40,14 +39,6 @@ def check_robot(where: str, model: str, hello: Hello) -> None:
         raise IdentityError(f"{where} drives {hello.axes} axes, this driver is for 6")
     if model and not same_model(model, hello.model):
         raise IdentityError(f"{where} drives a '{hello.model}', the plan is for '{model}'; correct the plan's robot model or the address")
-
-
-def check_outputs(where: str, options: EkiOptions, hello: Hello) -> None:
-    if options.digital_outputs and hello.interface == WITHOUT_OUTPUTS:
-        raise IdentityError(
-            f"{where} runs programs that switch no outputs, and the plan's option digital_outputs names some; "
-            "copy the files that `mbcacq controller-files` writes"
-        )
 
 
 def check_tool(where: str, options: EkiOptions, hello: Hello, state: State) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from mbcacq.devices import ConnectError, ContextDevice, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq.devices import ConnectError, ContextDevice, DeviceFault, DeviceTimeout, LinkLost, ProtocolError, TcpLink
 from mbcacq_kuka.eki.framing import Cutter, FramingError
 
 
@@ -41,17 +40,12 @@ class RobotIdentity:
 
 @dataclass(frozen=True)
 class EkiStatus:
-    """operation_mode: 1 T1, 2 T2, 3 AUT, 4 EXT. cycle_time: 1 is 4 ms, 2 is 12 ms."""
+    """control_mode: 1 joint position. cycle_time: 1 is 4 ms, 2 is 12 ms."""
 
     control_mode: int
     cycle_time: int
-    drives_powered: bool
     emergency_stop: bool
     guard_stop: bool
-    in_motion: bool
-    motion_possible: bool
-    operation_mode: int
-    robot_stopped: bool
 
 
 _JOINT_POSITION = 1  # ControlMode
@@ -65,8 +59,8 @@ class EkiClient(ContextDevice):
     """
 
     def __init__(self, host: str, port: int = 54600, timeout_s: float = 4.0) -> None:
-        self._host, self._port, self._timeout_s = host, port, timeout_s
-        self._socket: socket.socket | None = None
+        self._host, self._port, self._timeout_s, self._where = host, port, timeout_s, f"{host}:{port}"
+        self._link: TcpLink | None = None
         self._waiting: deque[Element] = deque()
         self._unanswered: deque[tuple[EkiEvent, ...]] = deque()  # what could have answered each request given up, the oldest first
         self.identity: RobotIdentity | None = None
@@ -75,10 +69,10 @@ class EkiClient(ContextDevice):
     def connect(self) -> RobotIdentity:
         self.close()
         try:
-            self._socket = socket.create_connection((self._host, self._port), self._timeout_s)
+            self._link = TcpLink("it", self._host, self._port, self._timeout_s, self._timeout_s)
         except OSError as error:
             raise ConnectError(
-                f"the EKI server {self._host}:{self._port} cannot be reached ({error}); is the submit program running and the port open?"
+                f"the EKI server {self._where} cannot be reached ({error}); is the submit program running and the port open?"
             ) from error
         self._cutter = Cutter("Robot")
         try:
@@ -89,18 +83,15 @@ class EkiClient(ContextDevice):
             raise
 
     def close(self) -> None:
-        sock, self._socket = self._socket, None
+        link, self._link = self._link, None
         self._waiting.clear()
         self._unanswered.clear()
         self.identity = self.status = None
-        if sock is not None:
-            sock.close()
+        if link is not None:
+            link.close()
 
     def drives_on(self) -> None:
         self._request(Request.DRIVES_ON, (EkiEvent.DRIVES_ON,))
-
-    def drives_off(self) -> None:
-        self._request(Request.DRIVES_OFF, (EkiEvent.DRIVES_OFF,))
 
     def choose_cycle(self, cycle_ms: int) -> None:
         """Choose between the RSI programs of 4 and of 12 ms. A server that knows one cycle only (iiQKA.OS2) refuses the request and
@@ -150,8 +141,7 @@ class EkiClient(ContextDevice):
 
     def _restore(self, request: Request) -> None:
         """Connect again where the server has closed the connection since the last request. It has then forgotten what was chosen."""
-        if self._socket is None:
-            raise ConnectError("the EKI client is not connected; call connect first")
+        self._connected()
         try:
             self.poll()
         except ConnectError:
@@ -186,43 +176,38 @@ class EkiClient(ContextDevice):
         return False
 
     def _send(self, request: Request, control_mode: int = -1, cycle_time: int = -1) -> None:
-        if self._socket is None:
-            raise ConnectError("the EKI client is not connected; call connect first")
         telegram = f'<External REQTYPE="{int(request)}" ControlMode="{control_mode}" CycleTime="{cycle_time}"></External>'
         try:
-            self._socket.settimeout(self._timeout_s)
-            self._socket.sendall(telegram.encode())
-        except OSError as error:
-            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection ({error})") from error
+            self._connected().send(telegram.encode())
+        except LinkLost as error:
+            raise ConnectError(f"the EKI server {self._where}: {error}") from error
+
+    def _connected(self) -> TcpLink:
+        if self._link is None:
+            raise ConnectError("the EKI client is not connected; call connect first")
+        return self._link
 
     def _await(self, condition: Callable[[], Any]) -> Any:
         deadline = time.monotonic() + self._timeout_s
         while (result := condition()) is None:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise DeviceTimeout(f"the EKI server {self._host}:{self._port} did not answer within {self._timeout_s:g} s")
+                raise DeviceTimeout(f"the EKI server {self._where} did not answer within {self._timeout_s:g} s")
             self._receive(left)
         return result
 
     def _receive(self, timeout_s: float) -> bool:
         """Read once; True if something came."""
-        if self._socket is None:
-            raise ConnectError("the EKI client is not connected; call connect first")
-        self._socket.settimeout(max(timeout_s, 1e-6))
         try:
-            data = self._socket.recv(65536)
-        except (TimeoutError, BlockingIOError):
-            return False
-        except OSError as error:
-            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection ({error})") from error
-        if not data:
-            raise ConnectError(f"the EKI server {self._host}:{self._port} closed the connection")
+            _, data = self._connected().receive(timeout_s)
+        except LinkLost as error:
+            raise ConnectError(f"the EKI server {self._where}: {error}") from error
         try:
             for telegram in self._cutter.feed(data):
                 self._take(fromstring(telegram, forbid_dtd=True))
         except (FramingError, ParseError, DefusedXmlException, ValueError) as error:
-            raise ProtocolError(f"the EKI server {self._host}:{self._port} sent a malformed telegram: {error}") from error
-        return True
+            raise ProtocolError(f"the EKI server {self._where} sent a malformed telegram: {error}") from error
+        return bool(data)
 
     def _take(self, robot: Element) -> None:
         if (init := robot.find("Init")) is not None:
@@ -249,14 +234,4 @@ def _status(element: Element) -> EkiStatus:
     def number(attribute: str) -> int:
         return int(element.get(attribute, "0"))
 
-    return EkiStatus(
-        control_mode=number("ControlMode"),
-        cycle_time=number("CycleTime"),
-        drives_powered=bool(number("DrivesPowered")),
-        emergency_stop=bool(number("EmergencyStop")),
-        guard_stop=bool(number("GuardStop")),
-        in_motion=bool(number("InMotion")),
-        motion_possible=bool(number("MotionPossible")),
-        operation_mode=number("OperationMode"),
-        robot_stopped=bool(number("RobotStopped")),
-    )
+    return EkiStatus(number("ControlMode"), number("CycleTime"), bool(number("EmergencyStop")), bool(number("GuardStop")))

@@ -1,4 +1,4 @@
-"""KUKA robots over EthernetKRL, for mbcacq: PTP and LIN moves by a program on the controller, its state as a stream."""
+"""KUKA robots over EthernetKRL, for mbcacq: PTP moves by a program on the controller, its state as a stream."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from mbcacq.devices import (
 )
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
-from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
+from mbcacq_kuka.eki.cell_check import check_cell
 from mbcacq_kuka.eki.options import EkiOptions, parse
 from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.session import EkiSession
-from mbcacq_kuka.eki.telegrams import LIN, PTP, State
+from mbcacq_kuka.eki.telegrams import PTP, State
 from mbcacq_kuka.eki.watch import Move
 from mbcacq_kuka.option_values import check_output
 
@@ -143,26 +143,6 @@ class KukaEki(ContextDevice):
             return float(np.max(np.abs(np.array(state.axis) - wanted))) / tolerance
 
         self._begin(session, PTP, away, limits.settle_s, wanted, speed=percent, axes=wanted.tolist())
-
-    def move_linear(self, pose_mm_deg: np.ndarray, speed_mm_s: float, tolerance_mm: float = 0.05, settle_s: float = 0.2) -> None:
-        """Start a LIN motion of the tool to X, Y, Z, A, B, C (6,) (mm, deg) in the active base. The way is not checked against the plan:
-        the controller's own limits are all that guards it. Raises as move_to."""
-        self._refuse_following()
-        session = self._check()
-        pose = np.asarray(pose_mm_deg, dtype=float)
-        if pose.shape != (6,) or not np.isfinite(pose).all():
-            raise ConfigError(f"robot '{self._name}': a LIN target is X, Y, Z, A, B, C")
-        if not 0.0 < speed_mm_s <= self._options.path_speed_mm_s:
-            raise SafetyStop(
-                f"robot '{self._name}': {speed_mm_s:g} mm/s is not within 0..{self._options.path_speed_mm_s:g} mm/s "
-                "(option path_speed_mm_s); nothing was moved"
-            )
-
-        def away(state: State) -> float:
-            turned = frame_distance((0.0, 0.0, 0.0, *state.cart[3:]), (0.0, 0.0, 0.0, *pose[3:]))
-            return max(float(np.linalg.norm(np.array(state.cart[:3]) - pose[:3])) / tolerance_mm, 0.0 if turned is None else 2.0)
-
-        self._begin(session, LIN, away, settle_s, None, speed=float(speed_mm_s), frame=pose.tolist())
 
     def set_output(self, number: int, value: bool) -> None:
         """Switch $OUT[number], one of the option digital_outputs; returns once the controller says that it did. It is switched off by

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
-from mbcacq.devices import SafetyStop
-from mbcacq_kuka.eki.link import Link, LinkLost
+from mbcacq.devices import LinkLost, SafetyStop
+from mbcacq_kuka.eki.link import Link
 from mbcacq_kuka.eki.telegrams import Hello, State
 
 MOVED_DEG = 0.05  # more between two connections: somebody moved the arm
@@ -19,7 +19,7 @@ def meet(link: Link, deadline: float, ended: threading.Event, poll_s: float) -> 
     while hello is None or state is None or hello.session != state.session:
         if ended.is_set() or time.monotonic() > deadline:
             raise LinkLost("it tells neither who nor where it is")
-        for heard, new_hello, new_state in link.receive(poll_s):
+        for heard, new_hello, new_state in link.telegrams(poll_s):
             arrival, hello, state = heard, new_hello or hello, new_state or state
     return arrival, hello, state
 

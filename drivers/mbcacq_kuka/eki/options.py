@@ -31,7 +31,7 @@ class EkiOptions(KukaOptions):
     """Everything a plan may say about the EKI connection, and the cell it expects at the other end.
 
     address, port: the controller. speed_deg_s: (6,) the controller's joint speeds at 100 %.
-    acceleration_percent: of the controller's own; EKI moves know no other measure. path_speed_mm_s: the fastest LIN.
+    acceleration_percent: of the controller's own; EKI moves know no other measure.
 
     tool, base: numbers that the program on the controller selects. tool_frame, base_frame: X, Y, Z, A, B, C they must have, or None.
     mode: 'T1', 'T2', 'AUT', 'EXT', several of them, or 'any'. override: $OV_PRO in percent, or None. load_kg: mass that the controller
@@ -51,7 +51,6 @@ class EkiOptions(KukaOptions):
     speed_deg_s: PositiveSix = Field(description="the axes' largest speeds, °/s, where the robot file does not have them")
     port: int = Field(default=54610, ge=1, le=65535, strict=True)
     acceleration_percent: int = Field(default=50, ge=1, le=100, strict=True)
-    path_speed_mm_s: float = Field(default=250.0, ge=1, le=3000, strict=True)
     tool: int = Field(default=1, ge=0, le=128, strict=True)
     base: int = Field(default=0, ge=0, le=128, strict=True)
     tool_frame: Six | None = None

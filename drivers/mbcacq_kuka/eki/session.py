@@ -6,9 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, LinkLost, MbcacqError
 from mbcacq_kuka.eki import telegrams
-from mbcacq_kuka.eki.link import RETRY_S, Link, LinkLost, dial
+from mbcacq_kuka.eki.link import RETRY_S, Link, dial
 from mbcacq_kuka.eki.meeting import meet, refuse_moved
 from mbcacq_kuka.eki.options import EkiOptions
 from mbcacq_kuka.eki.record import Record
@@ -49,18 +49,17 @@ class EkiSession:
         )
         if self._options.follow:
             return  # whoever moves the arm may do so already
-        self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
-        assert self.hello is not None  # what was waited for
-        self._check(self.hello, self.latest)
-        braking = time.monotonic() + _FIRST_S  # perhaps from a connection that was lost just now
-        while self.latest.moving:
-            if self.error is not None:
-                raise self.error.with_traceback(None)
-            if time.monotonic() > braking:
+        while self._watch is None:  # a connection that is lost meanwhile is replaced: who is at the new one?
+            self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
+            if (hello := self.hello) is None:
+                continue
+            self._check(hello, self.latest)
+            # The arm may still brake because a former connection was lost.
+            if not self._wait(lambda: not self.latest.moving, time.monotonic() + _FIRST_S):
                 raise DeviceFault(f"{where} is moving the arm already; wait until it stands")
-            time.sleep(_POLL_S)
-        with self._news:
-            self._watch = Watch(self._name, self.latest)
+            with self._news:
+                if self.hello is hello:
+                    self._watch = Watch(self._name, self.latest)
 
     @property
     def latest(self) -> State:
@@ -187,7 +186,7 @@ class EkiSession:
     def _listen(self) -> None:
         if (link := self._link) is None:
             raise LinkLost("the connection was closed")
-        for arrival, hello, state in link.receive(_POLL_S):
+        for arrival, hello, state in link.telegrams(_POLL_S):
             self._heard = arrival
             if hello is not None:
                 self.hello = hello
@@ -215,13 +214,16 @@ class EkiSession:
 
     def _again(self, how: str) -> bool:
         """The connection is lost. Take it up again if the arm stood still; else say what happened. False: that was all."""
-        link, self._link = self._link, None
+        with self._news:
+            link, self._link, watching = self._link, None, self._watch is not None
+            if not watching:
+                self.hello = None
         if link is not None:
             link.close()
-        if self._watch is None and self._redial():
+        if not watching and self._redial():
             return True
         robot = f"robot '{self._name}'"
-        before, watching, follows = self.state, self._watch is not None, self._options.follow
+        before, follows = self.state, self._options.follow
         if (
             before is None
             or not watching
@@ -256,13 +258,11 @@ class EkiSession:
             self._link = self._dial(left)
         except ConnectError:
             return False
-        self.hello = None
         return True
 
     def _resume_in_time(self, deadline: float, before: State) -> None:
         """A controller that still ends the former connection closes the new one, too. Raises MbcacqError, LinkLost."""
         while True:
-            self.hello = None
             try:
                 return self._resume(self._dial(max(0.0, deadline - time.monotonic())), deadline, before)
             except LinkLost:

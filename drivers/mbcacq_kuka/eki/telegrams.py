@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-BEAT, PTP, LIN, STOP, SWITCH = 0, 1, 2, 3, 4
-INTERFACE, WITHOUT_OUTPUTS = "mbcacq 2", "mbcacq 1"  # that of before switches no outputs, else it is the same
+BEAT, PTP, STOP, SWITCH = 0, 1, 3, 4
+INTERFACE = "mbcacq 3"  # what the programs on the controller must be
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
 REFUSALS = {
@@ -54,7 +54,7 @@ class Hello:
 class State:
     """One moment. time ms; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done, cancelled, refused: numbers of
     moves; code: why one was refused (REFUSALS). switched: number of the last switch of an output; switch_code: 0, or why it was not
-    switched (SWITCH_REFUSALS); programs of before do not tell these. mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
+    switched (SWITCH_REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
     controller had from us.
     """
 
@@ -73,34 +73,25 @@ class State:
     ready: int
     refused: int
     session: int
+    switch_code: int
+    switched: int
     time: int
     tool: int
     axis: tuple[float, ...]
     cart: tuple[float, ...]
     current: tuple[float, ...]
-    switched: int = 0
-    switch_code: int = 0
 
 
-_OPTIONAL = ("switched", "switch_code")
 _INTEGERS = {f.name: f.name.title().replace("_", "") for f in fields(State) if f.type == "int"}
 
 
 def command(
-    kind: int,
-    number: int = 0,
-    beat: int = 0,
-    speed: float = 0.0,
-    acceleration: int = 0,
-    axes: Sequence[float] = (0.0,) * 6,
-    frame: Sequence[float] = (0.0,) * 6,
+    kind: int, number: int = 0, beat: int = 0, speed: float = 0.0, acceleration: int = 0, axes: Sequence[float] = (0.0,) * 6
 ) -> bytes:
-    """Always with every element: EKI keeps a queue for each, and they must not fall out of step. speed % (PTP) or mm/s (LIN)."""
+    """Always with every element: EKI keeps a queue for each, and they must not fall out of step. speed: %."""
     a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(AXES, axes, strict=True))
-    f = " ".join(f'{n}="{v:.6f}"' for n, v in zip(POSE, frame, strict=True))
     return (
-        f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}">'
-        f"<Axis {a}></Axis><Frame {f}></Frame></Command>"
+        f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}"><Axis {a}></Axis></Command>'
     ).encode("ascii")
 
 
@@ -136,8 +127,7 @@ def _hello(element: Element) -> Hello:
 
 
 def _state(element: Element) -> State:
-    given = {name: attribute for name, attribute in _INTEGERS.items() if name not in _OPTIONAL or attribute in element.attrib}
-    integers = {name: _integer(element, attribute) for name, attribute in given.items()}
+    integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
     return State(
         **integers,
         axis=_numbers(_child(element, "Axis"), AXES),

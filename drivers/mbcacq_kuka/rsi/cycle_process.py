@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import threading
 from typing import Any
 
-from mbcacq.devices import Cycles
+from mbcacq.devices import ChildEnded, ChildProcess, Cycles
 from mbcacq_kuka.rsi.record import CycleReader
 from mbcacq_kuka.rsi.shared import CLOSE, RsiCommand, Shared
 
@@ -23,23 +20,17 @@ class CycleProcess:
         self._shared: Shared | None = Shared.create()
         self._reader = CycleReader(self._shared)
         self._lock = threading.Lock()
-        self._process: subprocess.Popen[str] | None = None
+        self._process: ChildProcess | None = None
         self.port, self.real_time = 0, False
 
     def start(self, settings: dict[str, Any]) -> str:
         """'' once it listens, else why it cannot."""
         assert self._shared is not None  # start comes before close
-        command = [sys.executable, "-m", "mbcacq_kuka.rsi.cycle"]
-        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
-        process = self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-        )
-        assert process.stdin is not None  # both are pipes
-        assert process.stdout is not None
-        process.stdin.write(json.dumps({"shared": self._shared.name, **settings}) + "\n")
-        process.stdin.flush()
-        line = process.stdout.readline()
-        answer = json.loads(line) if line else {"error": "the RSI process did not start"}
+        process = self._process = ChildProcess("-m", "mbcacq_kuka.rsi.cycle")
+        try:
+            answer = process.ask({"shared": self._shared.name, **settings})
+        except ChildEnded:
+            answer = {"error": "the RSI process did not start"}
         if "error" in answer:
             return answer["error"]
         self._shared.forget()
@@ -56,7 +47,7 @@ class CycleProcess:
 
     @property
     def exit_code(self) -> int | None:
-        return None if self._process is None else self._process.poll()
+        return None if self._process is None else self._process.exit_code
 
     @property
     def lost(self) -> int:
@@ -117,11 +108,7 @@ class CycleProcess:
         process, self._process = self._process, None
         if process is not None:
             self.send(RsiCommand(CLOSE))
-            try:
-                process.communicate(timeout=_BRAKING_S)  # closes its input
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
+            process.end(_BRAKING_S)
         with self._lock:
             shared, self._shared = self._shared, None
             if shared is not None:

@@ -7,18 +7,15 @@ followed by the counter that makes it visible.
 from __future__ import annotations
 
 import json
-import os
 import socket
 import struct
-import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker, shared_memory
-from pathlib import Path
+from multiprocessing import shared_memory
 from typing import Any
 
 from mbcacq_kuka.rsi.sequence import Counts
+from mbcacq_kuka.shared_block import SharedBlock, allocated, attached
 
 MOVE, STOP, CLOSE = 1, 2, 3
 MOVING, ARRIVED, ANSWERED = 1, 2, 4
@@ -33,7 +30,6 @@ _NAMES_AT, _FAULT_AT, _RING_AT = 1024, 24576, 32768
 _MAX_FAULT = _RING_AT - _FAULT_AT
 _MAX_NAMES = _FAULT_AT - _NAMES_AT
 RING_BYTES = 16 * 1024 * 1024
-_FILES = Path("/dev/shm")  # where Linux has shared memory as files
 
 
 @dataclass(frozen=True)
@@ -49,42 +45,25 @@ class RsiCommand:
     settle_s: float = 0.0
 
 
-class Shared:
+class Shared(SharedBlock):
     """One session's block. The driver creates it, the cycle process attaches."""
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
-        self._memory, self._owner = memory, owner
-        self.name = memory.name
-        assert memory.buf is not None  # it is None only once the memory is closed
-        self._buffer = memory.buf
+        super().__init__(memory, owner)
         self._header = self._buffer[:128].cast("q")
 
     @classmethod
     def create(cls) -> Shared:
         """Raises OSError where the memory is not there."""
-        return cls(_allocated(_RING_AT + RING_BYTES), True)
+        return cls(allocated(_RING_AT + RING_BYTES), True)
 
     @classmethod
     def attach(cls, name: str) -> Shared:
-        if sys.version_info >= (3, 13):
-            return cls(_Block(name=name, track=False), False)
-        register = resource_tracker.register
-        resource_tracker.register = lambda *_: None  # Python < 3.13 would remove the block when this process ends
-        try:
-            return cls(_Block(name=name), False)
-        finally:
-            resource_tracker.register = register
-
-    def forget(self) -> None:
-        """Take the block's name away once both sides hold it: it then ends with them, whatever kills them."""
-        if self._owner:
-            self._owner = False
-            self._memory.unlink()
+        return cls(attached(name), False)
 
     def close(self) -> None:
         self._header.release()
-        self._memory.close()
-        self.forget()
+        super().close()
 
     # commands: one writer at a time (the driver holds a lock), one reader
 
@@ -203,27 +182,3 @@ class Shared:
     def fault(self) -> dict[str, Any] | None:
         size = self._header[_FAULT_SIZE]
         return json.loads(bytes(self._buffer[_FAULT_AT : _FAULT_AT + size])) if size else None
-
-
-class _Block(shared_memory.SharedMemory):
-    """Where views of it are left, as in a program that was interrupted while it ended, it goes with the process: that is no error."""
-
-    def close(self) -> None:
-        with suppress(BufferError):
-            super().close()
-
-
-def _allocated(size: int) -> shared_memory.SharedMemory:
-    """A new block whose memory is there. Linux only promises it at creation, and ends a process by SIGBUS that writes where none is left;
-    other systems allocate at creation. Raises OSError."""
-    memory = _Block(create=True, size=size)
-    file = _FILES / memory.name.lstrip("/")
-    try:
-        if file.exists():
-            with file.open("r+b") as block:
-                os.posix_fallocate(block.fileno(), 0, size)
-    except OSError:
-        memory.close()
-        memory.unlink()
-        raise
-    return memory

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 import threading
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Literal, Self
 
 import numpy as np
 
-from mbcacq.devices import signals_deferred
+from mbcacq.devices import ChildEnded, ChildProcess, signals_deferred
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import (
@@ -86,7 +83,7 @@ class FakeCell(Started):
         self._planned_station = np.array([self._facts.station_ids.index(str(p.station)) for p in poses], dtype=int)
         self._state: ArmState | None = None
         self._krc: Controller | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: ChildProcess | None = None
         self._hand = np.random.default_rng([self._seed, 39])
         self._lock = threading.Lock()
         self._overrides: dict[str, dict[str, Any]] = {}
@@ -100,9 +97,7 @@ class FakeCell(Started):
         try:
             with signals_deferred():
                 self._state = ArmState.create(home)
-            command = [sys.executable, "-m", "mbcacq_fakes.cell.process"]
-            # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+            self._process = ChildProcess("-m", "mbcacq_fakes.cell.process", dump=pickle.dump, load=pickle.load)
             self._send(self._job())
             robot = self._start_controller()
             addresses = self._receive()
@@ -142,14 +137,7 @@ class FakeCell(Started):
         """Idempotent; no process and no shared memory stays behind."""
         process, self._process = self._process, None
         if process is not None:
-            try:
-                process.communicate(timeout=5.0)  # end of its input is its sign to go
-            except (subprocess.TimeoutExpired, ValueError, BrokenPipeError):
-                process.kill()
-                process.wait()
-            for pipe in filter(None, (process.stdin, process.stdout)):
-                with suppress(OSError):  # a message to a process that has ended
-                    pipe.close()
+            process.end(5.0)
         krc, self._krc = self._krc, None
         if krc is not None:
             krc.stop()
@@ -170,7 +158,7 @@ class FakeCell(Started):
 
     def alive(self) -> bool:
         """The world's process still runs."""
-        return self._process is not None and self._process.poll() is None
+        return self._process is not None and self._process.exit_code is None
 
     @property
     def process_id(self) -> int:
@@ -243,23 +231,21 @@ class FakeCell(Started):
         return tuple(map(tuple, np.column_stack([self._facts.sign, rows]).tolist()))
 
     def _send(self, message: Any) -> None:
-        pipe = None if self._process is None else self._process.stdin
-        if pipe is None:
-            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            pickle.dump(message, pipe)
-            pipe.flush()
-        except (BrokenPipeError, ValueError) as error:
+            self._running().send(message)
+        except ChildEnded as error:
             raise ConnectError("the fake cell's process has ended; start the cell again") from error
 
     def _receive(self) -> Any:
-        pipe = None if self._process is None else self._process.stdout
-        if pipe is None:
-            raise ConnectError("the fake cell's process has ended; start the cell again")
         try:
-            kind, value = pickle.load(pipe)
-        except (EOFError, pickle.UnpicklingError) as error:
+            kind, value = self._running().receive()
+        except ChildEnded as error:
             raise ConnectError("the fake cell's process has ended; its last messages are above") from error
         if kind == "error":
             raise value
         return value
+
+    def _running(self) -> ChildProcess:
+        if self._process is None:
+            raise ConnectError("the fake cell's process has ended; start the cell again")
+        return self._process

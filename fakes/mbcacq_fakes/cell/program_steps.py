@@ -85,7 +85,7 @@ class _Moves:
     def __init__(self, steps: list[Step], system: Any) -> None:
         self._steps, self._system = steps, system
 
-    def begin(self, kind: str, target: Any) -> None:
+    def begin(self, target: Any) -> None:
         angles = [getattr(target, f"a{k}") for k in range(1, 7)]
         self._steps.append(("move", np.array(angles)))
         self._system.axis_act_meas = Struct(**{f"a{k}": float(a) for k, a in enumerate(angles, 1)})

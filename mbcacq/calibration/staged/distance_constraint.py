@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, pairs, propagate
+from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, pairs, points_and_directions, propagate
 from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -80,16 +80,8 @@ def identify(
     value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
     observable = value > UNOBSERVABLE * value[-1]
     inverse = scale[:, None] * (vector[:, observable] / value[observable]) @ vector[:, observable].T * scale
-    found = propagate(
-        chain=chain,
-        hand_eye=hand_eye,
-        obs=obs,
-        at=distances,
-        J=J,
-        residual=residual,
-        inverse=inverse,
-        measured=measured or Measured(np.full(3, 0.02)),
-    )
+    measured = measured or Measured(np.full(3, 0.02))
+    covariance, noise = propagate(chain, hand_eye, obs, distances, J, residual, inverse=inverse, measured=measured)
     unobservable = scale[:, None] * vector[:, ~observable]
     count = max(len(residual), 1)
     return Identified(
@@ -97,8 +89,8 @@ def identify(
         T_flange_scanner=hand_eye,
         rms_before=np.sqrt(before / count),
         rms_after=np.sqrt(cost / count),
-        covariance=found.covariance,
-        noise=found.noise,
+        covariance=covariance,
+        noise=noise,
         unobservable=unobservable / np.linalg.norm(unobservable, axis=0),
         free=free,
         iterations=iterations,
@@ -109,14 +101,9 @@ def _linearise(
     chain: Chain, hand_eye: np.ndarray, obs: Observations, distances: PairDistances, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residual (K,) true minus measured distance, and its columns (K, g): the derivative of the measured distance."""
-    q, pose, xyz = obs.q, obs.pose, obs.xyz
-    frames = chain.frames(q)
-    T = frames[:, -1] @ hand_eye
-    point = se3.apply(T[pose], xyz)
+    q, pose = obs.q, obs.pose
+    frames, T, point, length, u = points_and_directions(chain, hand_eye, obs, distances)
     twists = np.concatenate([chain.parameter_twists(frames, q).reshape(len(q), -1, 6), np.swapaxes(se3.adjoint(T), 1, 2)], axis=1)[:, free]
     moved = twists[pose][..., :3] + np.cross(twists[pose][..., 3:], point[:, None])
-    apart = point[distances.a] - point[distances.b]
-    length = np.linalg.norm(apart, axis=1)
-    u = apart / length[:, None]
     J = np.einsum("kc,kgc->kg", u, moved[distances.a]) - np.einsum("kc,kgc->kg", u, moved[distances.b])
     return distances.certified - length, J

@@ -122,14 +122,6 @@ class Measured:
     smoother: tuple[np.ndarray, ...] | None = None
 
 
-@dataclass(frozen=True)
-class Propagated:
-    """covariance: (g, g) of the parameters; noise: what was found and used."""
-
-    covariance: np.ndarray
-    noise: Noise
-
-
 def scanner_noise(obs: Observations) -> np.ndarray:
     """(3,) mm: sigma of a centre along the scanner's axes, from the shape of each scan against the certificate; as the stated
     noise among the axes, or alike. Poses with fewer than three balls are not used."""
@@ -149,6 +141,19 @@ def scanner_noise(obs: Observations) -> np.ndarray:
     return np.maximum(np.sqrt(squares / expected) * stated, LEAST_POINT) if expected > 0 else np.full(3, 0.02)
 
 
+def points_and_directions(
+    chain: Chain, hand_eye: np.ndarray, obs: Observations, at: PairDistances
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Frames of the arm (P, n+1, 4, 4), T_base_scanner (P, 4, 4) and the centres in the base (M, 3); of each pair its length (K,) mm and
+    the direction (K, 3) from b to a."""
+    frames = chain.frames(obs.q)
+    T = frames[:, -1] @ hand_eye
+    point = se3.apply(T[obs.pose], obs.xyz)
+    apart = point[at.a] - point[at.b]
+    length = np.linalg.norm(apart, axis=1)
+    return frames, T, point, length, apart / length[:, None]
+
+
 def propagate(
     chain: Chain,
     hand_eye: np.ndarray,
@@ -158,14 +163,13 @@ def propagate(
     residual: np.ndarray,
     inverse: np.ndarray,
     measured: Measured,
-) -> Propagated:
-    """Covariance of the least squares J x = residual, J (K, g), of the distances; inverse: (g, g) of J' J, zero where unobservable."""
-    q, pose, xyz = obs.q, obs.pose, obs.xyz
-    frames = chain.frames(q)
-    T = frames[:, -1] @ hand_eye
-    point = se3.apply(T[pose], xyz)
-    apart = point[at.a] - point[at.b]
-    u = apart / np.linalg.norm(apart, axis=1, keepdims=True)
+) -> tuple[np.ndarray, Noise]:
+    """Covariance (g, g) of the least squares J x = residual, J (K, g), of the distances, and the noise that was found and used.
+
+    inverse: (g, g) of J' J, zero where unobservable.
+    """
+    q, pose = obs.q, obs.pose
+    frames, T, point, _, u = points_and_directions(chain, hand_eye, obs, at)
     rows, count = np.arange(len(at.a)), len(pose)
     D = csr_array(
         (
@@ -191,7 +195,7 @@ def propagate(
     expected_joint = joint_trace - np.sum(inverse * by_joint)
     variance = max(float(residual @ residual) - expected_scanner, 0.0) / expected_joint if expected_joint > 0 else 0.0
     covariance = inverse @ (by_scanner + variance * by_joint) @ inverse
-    return Propagated(covariance, Noise(measured.shape, np.full(chain.n, np.sqrt(variance))))
+    return covariance, Noise(measured.shape, np.full(chain.n, np.sqrt(variance)))
 
 
 def _scanner(pose: np.ndarray, R: np.ndarray, S: np.ndarray, weight: np.ndarray, measured: Measured) -> tuple[np.ndarray, float]:

@@ -20,7 +20,7 @@ from mbcacq.diagnosis.evidence.posterior import is_coupled, is_part, not_separab
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.bayes_factor import over_sizes
-from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of
+from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of, typical_sizes
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN
@@ -140,8 +140,7 @@ def likeness(reported: Hypothesis, ours: EffectSet, theirs: EffectSet) -> float:
     """
     members = (*ours.members, *theirs.members)
     A = reported.point.with_effects(reported.point.extended(members)).A
-    typical = np.concatenate([np.zeros(0), *(m.candidate.typical for m in members)])
-    moved, k = np.concatenate([ours.coefficients, theirs.coefficients]) / typical, len(ours.coefficients)
+    moved, k = np.concatenate([ours.coefficients, theirs.coefficients]) / typical_sizes(members), len(ours.coefficients)
     across = moved[:k] @ A[:k, k:] @ moved[k:]
     size = float(np.sqrt(max((moved[:k] @ A[:k, :k] @ moved[:k]) * (moved[k:] @ A[k:, k:] @ moved[k:]), 0.0)))
     return float(min(abs(across) / size, 1.0)) if size > 0 else 0.0
@@ -165,8 +164,7 @@ def coefficients_over_sizes(hypothesis: Hypothesis) -> EffectSet:
     chosen = [m.size for m in members]
     sizes = [np.array(m.sizes) if m.size in m.sizes else np.array([m.size]) for m in members]
     mean, covariance = over_sizes(system.A, system.a, list(slices_of(members)), sizes, chosen, positive)
-    typical = np.concatenate([m.candidate.typical for m in members])
-    return EffectSet(members, typical * mean, covariance * np.outer(typical, typical))
+    return EffectSet.in_typical_sizes(members, mean, covariance)
 
 
 def by_effect(solved: EffectSet) -> ByEffect:

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
-from mbcacq.diagnosis.search.effect_set import EffectSet, Member, prior_sigma
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
@@ -64,13 +64,11 @@ class NoisePoint:
 
     def solved(self, members: Sequence[Member]) -> EffectSet:
         """These effects with the posterior of their coefficients, geometry integrated out."""
-        p, sigma = self.projected, prior_sigma(members)
-        X = np.concatenate([np.zeros((len(p.r0), 0)), *(p.block(m.candidate, m.hyper) for m in members)], axis=1)
+        p = self.projected
+        blocks = (p.block(m.candidate, m.hyper) * m.candidate.typical for m in members)
+        X = np.concatenate([np.zeros((len(p.r0), 0)), *blocks], axis=1)
         absorbed = p.Q.T @ X
-        normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
-        inverse = np.linalg.inv(normal)
-        values = sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry())))
-        return EffectSet(tuple(members), values, sigma[:, None] * inverse * sigma)
+        return EffectSet.of(members, X.T @ X - absorbed.T @ absorbed, X.T @ p.beyond_geometry())
 
     def with_effects(self, extended: ExtendedProblem) -> NormalSystem:
         """The normal equations of effects, of k coefficients near one, beyond the geometry. extended: of the geometry and their columns."""

@@ -22,21 +22,14 @@ from mbcacq.effects.functions import Column, Product, cosine, linear, of, sine
 from mbcacq.effects.learnt_range import is_angle
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 
-
-@dataclass(frozen=True, kw_only=True)
-class FormulaOptions:
-    """Dictionary of formulas and effort of their search; ``benchmarks/formulas.md`` measures all of it together."""
-
-    least_range: float = 0.02  # of a covariate, in its unit (rad, s, K, N m, mm): one that varies less is a constant with noise
-    product_orders: int = 2  # periods a turn in a product with something else
-    fading: tuple[float, ...] = (0.08, 0.2, 0.5)  # time constants, in durations of the recording
-    most_terms: int = 3  # of a formula
-    proposed: int = 3  # formulas that are reported
-    scatters: float = 2.0  # standard deviations of the difference of squares, up to which a formula predicts as well as the smooth model
-    most_searches: float = 0.5  # share of the searches without a part of the data, more than which must find a formula again
-
-
-OPTIONS = FormulaOptions()
+# Dictionary of formulas and effort of their search; ``benchmarks/formulas.md`` measures all of it together.
+LEAST_RANGE = 0.02  # of a covariate, in its unit (rad, s, K, N m, mm): one that varies less is a constant with noise
+PRODUCT_ORDERS = 2  # periods a turn in a product with something else
+TIME_CONSTANTS = (0.08, 0.2, 0.5)  # time constants, in durations of the recording
+MOST_TERMS = 3  # of a formula
+PROPOSED = 3  # formulas that are reported
+SCATTERS = 2.0  # standard deviations of the difference of squares, up to which a formula predicts as well as the smooth model
+MOST_SEARCHES = 0.5  # share of the searches without a part of the data, more than which must find a formula again
 
 
 HOUR = 3600.0  # s
@@ -68,7 +61,7 @@ def entries(context: Context, location: Location) -> list[DictionaryEntry]:
     """The terms of a location: of the arm, functions of the pose; of the scanned point, functions of the centre in the field of view."""
     straight = varying(context, [f"q{i + 1}" for i in range(context.n)])
     angles = [name for e in straight for name in e.covariates]
-    periodic = [harmonic(name, order) for name in angles for order in range(1, OPTIONS.product_orders + 1)]
+    periodic = [harmonic(name, order) for name in angles for order in range(1, PRODUCT_ORDERS + 1)]
     if location.keys[0][0] == "point":
         field = varying(context, FIELD)
         measured = [*field, *slow(context), *varying(context, LEAN)]
@@ -101,7 +94,7 @@ def varying(context: Context, names: Iterable[str]) -> list[DictionaryEntry]:
         elif name in context.obs.temperatures:
             first = float(np.round(values[np.argmin(context.order)], 2))
             columns = {f"({name} - {first:g})": (*linear(name), Product(-first))}
-        if np.ptp(values) > OPTIONS.least_range:
+        if np.ptp(values) > LEAST_RANGE:
             out.append(DictionaryEntry(f"linear {name}" if is_angle(name) else name, columns))
     return out
 
@@ -136,7 +129,7 @@ def wave_orders(context: Context, name: str) -> np.ndarray:
 
 def fading(context: Context) -> list[DictionaryEntry]:
     """Exponential functions of time, where it was recorded."""
-    constants = [float(f"{share * context.time.max():.2g}") for share in OPTIONS.fading if varying(context, ["time"])]
+    constants = [float(f"{share * context.time.max():.2g}") for share in TIME_CONSTANTS if varying(context, ["time"])]
     return [DictionaryEntry("fading time", {f"exp(-time/{c:g} s)": of("time", "decay", c)}) for c in constants]
 
 

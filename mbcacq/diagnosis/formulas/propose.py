@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.formulas.dictionary import OPTIONS
+from mbcacq.diagnosis.formulas.dictionary import MOST_SEARCHES, PROPOSED, SCATTERS
 from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, candidate, described, different
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.basis_functions import Location, locations_of_arm, scanner_location
@@ -78,8 +78,8 @@ def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Seq
     and comes again in most of the searches without a part. One that does not describes the data it was found in and nothing else.
     """
     worse = np.array([f.chi2 - s.chi2 for f, s in zip(formula, smooth, strict=True)])
-    scatter = OPTIONS.scatters * float(np.std(worse, ddof=1) * np.sqrt(len(worse))) if len(worse) > 1 else 0.0
-    again = proposal.found_in > OPTIONS.most_searches * proposal.parts
+    scatter = SCATTERS * float(np.std(worse, ddof=1) * np.sqrt(len(worse))) if len(worse) > 1 else 0.0
+    again = proposal.found_in > MOST_SEARCHES * proposal.parts
     return again and float(worse.sum()) <= scatter and proposal.held_out_chi2_dof < proposal.held_out_before_chi2_dof
 
 
@@ -107,12 +107,12 @@ def propose(
     here = Setting.of(problem, full)
     space = FormulaSpace.of(here.context, where)
     found = FormulaSearch(here.point, here.others, space).run()
-    formulas = different(f for f in found if f.log_posterior > 0)[: OPTIONS.proposed]
+    formulas = different(f for f in found if f.log_posterior > 0)[:PROPOSED]
     if not formulas:
         return (), ("a formula was sought: none of the dictionary is more probable than no formula",)
     progress("searching for formulas without each part of the data")
     again = [FormulaSearch(here.point.restricted(train), here.others, space).to_first_order() for train, _ in here.parts]
-    best_again = [{f.shapes for f in different(each)[: OPTIONS.proposed]} for each in again]
+    best_again = [{f.shapes for f in different(each)[:PROPOSED]} for each in again]
     before = here.scores()
     smooth = here.scores(None, here.random) if here.random else before
     judged = []

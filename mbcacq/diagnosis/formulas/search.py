@@ -16,7 +16,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, first_or
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import relative_to_best_determined
 from mbcacq.diagnosis.formulas import dictionary
-from mbcacq.diagnosis.formulas.dictionary import OPTIONS, DictionaryEntry
+from mbcacq.diagnosis.formulas.dictionary import MOST_TERMS, DictionaryEntry
 from mbcacq.diagnosis.nonparametric.basis_functions import Location, Shape
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
@@ -175,7 +175,7 @@ class FormulaSearch:
         self.map = EvidenceMap(point.projected, space.groups)
         self.none = first_order(self.others, point, 0.0)
 
-    def run(self, most_terms: int = OPTIONS.most_terms) -> list[Formula]:
+    def run(self, most_terms: int = MOST_TERMS) -> list[Formula]:
         """The most probable formulas, best first, each with the noise that is most probable with it, against none with its own.
 
         Under a noise that still contains the effect every further term seems to gain: so those of every length are compared.
@@ -184,7 +184,7 @@ class FormulaSearch:
         each = [(f, estimated(f.hypothesis.members, self.point, f.hypothesis.log_prior)) for f in self.to_first_order(most_terms)]
         return ranked(Formula(f.placed, there, there.log_evidence - plain.log_evidence) for f, there in each)
 
-    def to_first_order(self, most_terms: int = OPTIONS.most_terms) -> list[Formula]:
+    def to_first_order(self, most_terms: int = MOST_TERMS) -> list[Formula]:
         """The most probable formulas of one term, of two and so on, as long as a further one gains."""
         out, beam = [], [Formula((), self.none, 0.0)]
         for _ in range(most_terms):

@@ -6,7 +6,7 @@ share the improvement that the table states.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -128,22 +128,8 @@ def _verdict(fits: list[MotionFit], effects: list[EffectFound], channels: list[C
 
 
 def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> EffectFound:
-    fit = table.fit
-    at = [fit.group.index(joint) for joint in effect.candidate.rows.joints]
-    share = table.share(gain)
-    return EffectFound(
-        name=effect.candidate.name,
-        where=effect.candidate.where,
-        depends_on=effect.candidate.depends_on,
-        channel=fit.group.name,
-        parameters=effect.parameters,
-        p_value=effect.p_value,
-        held_out_gain=share,
-        held_out_gain_here=table.share(gain, at),
-        alternatives=tuple(effect.alternatives),
-        steps=tuple(effect.steps),
-        notes=tuple(effect.notes),
-    )
+    at = [table.fit.group.index(joint) for joint in effect.candidate.rows.joints]
+    return replace(effect.found, held_out_gain=table.share(gain), held_out_gain_here=table.share(gain, at))
 
 
 def _unmodelled(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray, runs: tuple[MotionSignals, ...]) -> EffectFound:
@@ -155,7 +141,7 @@ def _unmodelled(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray, run
         depends_on=on,
         channel=table.fit.group.name,
         parameters={},
-        p_value=effect.p_value,
+        p_value=effect.found.p_value,
         held_out_gain=table.share(gain),
         shape=shape,
     )
@@ -164,7 +150,7 @@ def _unmodelled(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray, run
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MismatchEntry:
     c = effect.candidate
     at = c.where[0] if len(c.rows.joints) == 1 and not catalogue.declaration(c.name).between_locations else c.where[-1]
-    return MismatchEntry(at, c.depends_on, table.share(gain), effect.p_value, channel=table.fit.group.name)
+    return MismatchEntry(at, c.depends_on, table.share(gain), effect.found.p_value, channel=table.fit.group.name)
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:

@@ -44,7 +44,7 @@ def diagnose_trajectories(
     it needs).
     """
     budget = TimeBudget.of_minutes(minutes)
-    recordings = _Recordings(trajectories, budget=budget)
+    recordings = Recordings(trajectories, budget=budget)
     fits, runs = recordings.explain()
     found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None)
     late = [OUT_OF_TIME] if cut_short(fits) else []
@@ -53,21 +53,6 @@ def diagnose_trajectories(
         suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot), *refused_in_words(fits, runs)),
         plot_data=motion_series(fits, found.fit.channels, trajectories, recordings.runs),
     )
-
-
-def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None) -> list[MotionFit]:
-    """The fit of each kind of mismatch. held: number of a part (``segments.held_out_parts``) that takes no part."""
-    return _Recordings(trajectories).explain(held)[0]
-
-
-def base_alone(trajectories: Sequence[Trajectory]) -> dict[str, np.ndarray]:
-    """Chi2 per degree of freedom (J,) by kind of mismatch, held out, of offsets and the arm's inertial parameters: no effect is tried."""
-    recordings = _Recordings(trajectories)
-    out = {}
-    for group in channel_groups(recordings.runs, recordings.inertial, recordings.robot):
-        selection = EffectSelection(MotionModel(group, recordings.runs), candidates=[])
-        out[group.name] = selection.start / selection.model.floor**2
-    return out
 
 
 def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
@@ -99,7 +84,7 @@ def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str,
     ConfigError
         The recordings are of robots with different numbers of axes, or there is nothing to compare.
     """
-    recordings = _Recordings([*learnt, *(t for _, t in others)], len(learnt))
+    recordings = Recordings([*learnt, *(t for _, t in others)], len(learnt))
     fits, _ = recordings.explain()
     out = []
     for run, (name, _) in enumerate(others, len(learnt)):
@@ -111,7 +96,7 @@ def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str,
     return tuple(out)
 
 
-class _Recordings:
+class Recordings:
     """Signals of recordings of one robot. learnt: number of those, the first ones, from which anything is learnt (None: all).
     budget: of the time for everything; the search of all recordings has a part of it."""
 
@@ -128,7 +113,8 @@ class _Recordings:
         self.robot: RobotModel = trajectories[0].robot
 
     def explain(self, held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
-        """Fits, torque first: the load that it gives winds up the gears. Raises ConfigError where there is nothing to compare."""
+        """Fits, torque first: the load that it gives winds up the gears. held: number of a part (``normal_store.held_out_parts``) that
+        takes no part in them. Raises ConfigError where there is nothing to compare."""
         runs = self.runs
         groups = channel_groups(runs, self.inertial, self.robot)
         if not groups:

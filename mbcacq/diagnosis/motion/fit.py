@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.effect_found import Alternative, MotionStep
+from mbcacq.diagnosis.effect_found import EffectFound, MotionStep
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
@@ -40,18 +40,21 @@ ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 class FittedEffect:
     """One effect of the catalogue at one location, with all its forms.
 
-    notes: what its parameters leave open. gain: (J,) reduction of the held-out mean square. contributions: (T,) by joint of the group
-    and run, what it adds to the mismatch.
+    found: as it is reported, but for what it removes from held-out data. gain: (J,) reduction of the held-out mean square. contributions:
+    (T,) by joint of the group and run, what it adds to the mismatch.
     """
 
     candidate: Candidate[MotionRows]
-    parameters: Parameters
-    p_value: float
+    found: EffectFound
     gain: np.ndarray
-    steps: list[MotionStep]
-    alternatives: list[Alternative]
     contributions: ByRun
-    notes: list[str]
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.found.parameters
+
+    def with_parameters(self, parameters: Parameters) -> FittedEffect:
+        return replace(self, found=replace(self.found, parameters=parameters))
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
         train_after=store.errors(chosen, x) / n,
         floor=model.floor,
         split=store.split,
-        links=_links(model, x),
+        links=[[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints],
         load_error=load_error(model, weights),
         sets=selection.sets,
         inertial=None if found is None else found.parameters(x),
@@ -162,23 +165,14 @@ def _residuals(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> ByRun:
     return out
 
 
-def _links(model: MotionModel, x: np.ndarray) -> ByRun:
-    group, n, J = model.group, model.runs[0].q.shape[1], len(model.group.joints)
-    if group.name != "tau":
-        return [[np.zeros(len(run.q)) for run in model.runs] for _ in group.joints]
-    inertial = x[J : len(model.store.base) - n]  # the base: an offset a joint, inertial parameters, one column a rotor
-    return [[group.base[run][:, j, :-n] @ inertial for run in range(len(model.runs))] for j in range(J)]
-
-
 def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
     chosen = model.chosen()
-    position = {int(c): i for i, c in enumerate(chosen)}
-    continuous = continuous_effects(model)
+    position, continuous = model.store.positions(chosen), continuous_effects(model)
     out: dict[tuple, FittedEffect] = {}
     for effect in model.selected:
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
-        at = [position[int(i)] for i in effect.columns]
+        at = position[effect.columns]
         fitted = _fitted(model, effect, judged.get(effect.candidate.form, Judged()), x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
@@ -190,7 +184,7 @@ def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[Fit
     if sets is None or not sets.significant:
         return effects
     between = BetweenSets.of(sets)
-    return [replace(e, parameters=between.averaged([e.candidate.label], e.parameters)) for e in effects]
+    return [e.with_parameters(between.averaged([e.candidate.label], e.parameters)) for e in effects]
 
 
 def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
@@ -202,16 +196,20 @@ def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
         notes = [f"{candidate.hyper.name} is not determined: the best fit is at the end of what was tried, {limits}"]
-    return FittedEffect(
-        candidate=candidate,
+    found = EffectFound(
+        name=candidate.name,
+        where=candidate.where,
+        depends_on=candidate.depends_on,
+        channel=model.group.name,
         parameters=parameters,
         p_value=judged.p_value,
-        gain=judged.before - judged.after,
-        steps=[_step(model.group, candidate, parameters, judged)] if len(judged.before) else [],
-        alternatives=judged.alternatives,
-        contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
-        notes=notes,
+        held_out_gain=0.0,
+        alternatives=tuple(judged.alternatives),
+        steps=(_step(model.group, candidate, parameters, judged),) if len(judged.before) else (),
+        notes=tuple(notes),
     )
+    contributions = _delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c)
+    return FittedEffect(candidate, found, judged.before - judged.after, contributions)
 
 
 def at_bound(member: Member) -> bool:
@@ -234,24 +232,21 @@ def _step(group: ChannelGroup, candidate: Candidate, parameters: Parameters, jud
 
 def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     """An effect with one form more."""
-    added = zip(first.contributions, other.contributions, strict=True)
-    return replace(
-        first,
-        parameters=joined_parameters((first.parameters, other.parameters)),
-        p_value=min(first.p_value, other.p_value),
-        gain=first.gain + other.gain,
-        steps=[*first.steps, *other.steps],
-        contributions=[[a + b for a, b in zip(p, q, strict=True)] for p, q in added],
-        notes=[*first.notes, *other.notes],
+    one, more = first.found, other.found
+    found = replace(
+        one,
+        parameters=joined_parameters((one.parameters, more.parameters)),
+        p_value=min(one.p_value, more.p_value),
+        steps=(*one.steps, *more.steps),
+        notes=(*one.notes, *more.notes),
     )
+    added = zip(first.contributions, other.contributions, strict=True)
+    contributions = [[a + b for a, b in zip(p, q, strict=True)] for p, q in added]
+    return FittedEffect(first.candidate, found, first.gain + other.gain, contributions)
 
 
 def _contribution(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:
-    candidate = effect.candidate
-    return [
-        [candidate.rows.columns(run, j, effect.hyper) @ c if j in candidate.rows.joints else np.zeros(len(run.q)) for run in model.runs]
-        for j in model.group.joints
-    ]
+    return [[model.columns_of(effect, j, run) @ c for run in range(len(model.runs))] for j in range(len(model.group.joints))]
 
 
 def _delayed(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:

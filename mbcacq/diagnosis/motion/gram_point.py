@@ -19,7 +19,7 @@ from mbcacq.diagnosis.evidence.hypothesis import NormalSystem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.normal_store import weighted_sum
 from mbcacq.diagnosis.motion.options import RIDGE
-from mbcacq.diagnosis.search.effect_set import EffectSet, Member
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member, typical_sizes
 
 # Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
 # digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).
@@ -104,7 +104,7 @@ class GramPoint:
         """(J, c + 1, c + 1) Gram matrices of the base and of effects, the latter in typical sizes, mismatch last."""
         problem = self.problem
         ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
-        scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
+        scale = np.concatenate([np.ones(len(problem.base)), typical_sizes(members), [1.0]])
         return problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
 
     def with_effects(self, extended: np.ndarray) -> NormalSystem:
@@ -133,14 +133,8 @@ class GramPoint:
 
     def solved(self, members: Sequence[Member]) -> EffectSet:
         """These effects with the posterior of their coefficients, offsets and masses integrated out."""
-        if not members:
-            return EffectSet(())
         system = self.with_effects(self.extended(members))
-        size = np.concatenate([np.full(m.candidate.k, m.size) for m in members])
-        typical = np.concatenate([m.candidate.typical for m in members])
-        root = np.linalg.inv(cholesky_of(system.A, size**-2.0))
-        covariance = root.T @ root
-        return EffectSet(tuple(members), typical * (covariance @ system.a), covariance * np.outer(typical, typical))
+        return EffectSet.of(members, system.A, system.a)
 
     def conditioned(self, members: Sequence[Member]) -> ConditionedGram:
         return ConditionedGram.of(self, members)

@@ -123,10 +123,9 @@ def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> li
 
     x: coefficients of the columns ``chosen``.
     """
-    position = {int(c): i for i, c in enumerate(chosen)}
-    out = []
+    position, out = model.store.positions(chosen), []
     for effect in continuous_effects(model):
-        c = x[[position[int(i)] for i in effect.columns]]
+        c = x[position[effect.columns]]
         h = effect.value
         d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)
         columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.rows.joints]

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
+from mbcacq.diagnosis.evidence.between_sets import TURN, difference
 from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import ParameterEstimate, Parameters
@@ -29,7 +30,7 @@ from mbcacq.quantities import split_unit
 
 MOST_SETS = 12  # of each evidence: further ones are less probable than the best by far
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
-PHASE, TURN = "phase_deg", 360.0
+PHASE = "phase_deg"
 UNIFORM_DEG = TURN / np.sqrt(12.0)  # standard deviation of an angle of which nothing is known
 
 
@@ -167,9 +168,9 @@ def log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, pri
     With normal posteriors p1, p2 and priors q1, q2 the evidence with the prior q is the integral of q p1 p2 / (q1 q2), where q is q1 or q2,
     equally probable. Without a prior, half the squared distance in combined standard deviations is taken off, which understates it.
     """
-    difference = apart(key, mine, theirs)
+    away = difference(key, mine, theirs)
     if not priors:
-        return -0.5 * difference**2 / np.maximum(np.square(mine.components[1]) + np.square(theirs.components[1]), 1e-300)
+        return -0.5 * away**2 / np.maximum(np.square(mine.components[1]) + np.square(theirs.components[1]), 1e-300)
     first, second = priors[0], priors[-1]
     return np.logaddexp(_log_shared(key, mine, theirs, second), _log_shared(key, theirs, mine, first)) - np.log(2.0)
 
@@ -177,26 +178,20 @@ def log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, pri
 def _log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, prior: ParameterEstimate) -> np.ndarray:
     """(k,) logarithm of the integral of the posteriors p1 p2 over the prior of the second."""
     (value, std), (_, other) = np.array(mine.components), np.array(theirs.components)
-    difference, first, second = apart(key, mine, theirs), std**2, other**2
+    away, first, second = difference(key, mine, theirs), std**2, other**2
     absent, spread = np.array(prior.components)
     about = np.where(np.isfinite(absent) & (name_of(key) != PHASE), value - absent, 0.0)
     spread = np.minimum(spread, UNIFORM_DEG) if name_of(key) == PHASE else spread
     before = np.maximum(spread**2, second)  # a posterior is not wider than its prior
     precision = 1 / first + 1 / second - 1 / before
-    mean = (about / first + (about - difference) / second) / precision
-    exponent = about**2 / first + (about - difference) ** 2 / second - precision * mean**2
+    mean = (about / first + (about - away) / second) / precision
+    exponent = about**2 / first + (about - away) ** 2 / second - precision * mean**2
     return 0.5 * np.log(before / (first * second * precision)) - 0.5 * exponent
 
 
 def name_of(key: str) -> str:
     """The parameter's name without its location."""
     return key.rpartition(".")[2]
-
-
-def apart(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> np.ndarray:
-    """(k,) difference of two estimates; a phase goes the shorter way round."""
-    difference = np.subtract(mine.components[0], theirs.components[0])
-    return (difference + TURN / 2) % TURN - TURN / 2 if name_of(key) == PHASE else difference
 
 
 def paired(own: Parameters, other: Parameters) -> Iterator[tuple[str, ParameterEstimate, ParameterEstimate]]:
@@ -304,7 +299,7 @@ def named_side(pair: NotSeparable, labels: Collection[str]) -> list[str]:
 
 def distance_of(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> float:
     """Distance of two estimates in combined standard deviations."""
-    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.components[1], theirs.components[1]), 1e-300)
+    sigmas = np.abs(difference(key, mine, theirs)) / np.maximum(np.hypot(mine.components[1], theirs.components[1]), 1e-300)
     if len(sigmas) == 1:
         return float(sigmas[0])
     probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))

@@ -42,20 +42,17 @@ def load_error(model: MotionModel, weights: np.ndarray) -> list[np.ndarray]:
     if group.name != "tau":
         return [np.zeros((len(run.q), len(group.joints), 0)) for run in runs]
     chosen = model.chosen()
-    position = {int(number): i for i, number in enumerate(chosen)}
     links = model.store.base[len(group.joints) : -runs[0].q.shape[1]]  # the first are offsets, the last the rotors
     passed = [e for e in model.selected if not catalogue.declaration(e.candidate.name).motor_side]
-    root = _root(model, weights, chosen)[[position[int(i)] for i in (*links, *(i for e in passed for i in e.columns))]]
+    ids = np.concatenate([links, *(e.columns for e in passed)]).astype(int)
+    root = _root(model, weights, chosen)[model.store.positions(chosen)[ids]]
     out = []
-    for k, run in enumerate(runs):
-        of_joint = []
-        for j, joint in enumerate(group.joints):
-            of_effects = [
-                e.candidate.rows.columns(run, joint, e.hyper) if joint in e.candidate.rows.joints else np.zeros((len(run.q), e.candidate.k))
-                for e in passed
-            ]
-            of_joint.append(np.concatenate([group.base[k][:, j, : len(links)], *of_effects], axis=1) @ root)
-        out.append(np.stack(of_joint, axis=1))
+    for k in range(len(runs)):
+        each = (
+            np.concatenate([group.base[k][:, j, : len(links)], *(model.columns_of(e, j, k) for e in passed)], axis=1) @ root
+            for j in range(len(group.joints))
+        )
+        out.append(np.stack(list(each), axis=1))
     return _principal(out)
 
 
@@ -95,8 +92,7 @@ def _passed_on(model: MotionModel, x: np.ndarray) -> list[np.ndarray]:
 
     x: coefficients of ``model.chosen()``.
     """
-    position = {int(number): i for i, number in enumerate(model.chosen())}
-    passing = [(e.candidate.rows, x[[position[int(i)] for i in e.columns]]) for e in model.selected if e.candidate.rows.linear_in_load]
+    passing = [(e.candidate.rows, model.coefficients_of(e, x)) for e in model.selected if e.candidate.rows.linear_in_load]
     out = []
     for joint in model.group.joints:
         by_run = [np.zeros_like(available(run.load_error)[:, 0]) for run in model.runs]

@@ -128,18 +128,27 @@ class MotionModel:
 
     # simulation
 
+    def coefficients_of(self, effect: Member, x: np.ndarray) -> np.ndarray:
+        """(k,) of a selected effect. x: coefficients of ``chosen()``."""
+        return x[self.store.positions(self.chosen())[effect.columns]]
+
+    def of_links(self, j: int, run: int, x: np.ndarray, rotors: bool = False) -> np.ndarray:
+        """(T,) of the links, and of the rotors if asked for, at joint j of the group in one run. x: coefficients of ``chosen()``."""
+        base = self.group.base[run]
+        count = max(base.shape[2] - (0 if rotors else self.runs[run].q.shape[1]), 0)  # the last are the rotors
+        first = len(self.group.joints)
+        return base[:, j, :count] @ x[self.store.positions(self.chosen())[self.store.base[first : first + count]]]
+
+    def columns_of(self, effect: Member, j: int, run: int) -> np.ndarray:
+        """(T, k) of a selected effect at joint j of the group in one run; zero where it does not act."""
+        signals, joint = self.runs[run], self.group.joints[j]
+        if joint not in effect.candidate.rows.joints:
+            return np.zeros((len(signals.q), effect.candidate.k))
+        return effect.candidate.rows.columns(signals, joint, effect.hyper)
+
     def simulated(self, j: int, run: int, x: np.ndarray, without: Collection[str], rotors: bool) -> np.ndarray:
         """Sum (T,) of the links, of the rotors if asked for, and of the selected effects except those named in ``without``, at joint j of
         the group in one run. x: coefficients of ``chosen()``."""
-        signals, joint = self.runs[run], self.group.joints[j]
-        position = {int(c): i for i, c in enumerate(self.chosen())}
-        base = self.group.base[run]
-        out = np.zeros(len(signals.q))
-        if base.shape[2]:
-            inertial = self.store.base[len(self.group.joints) : None if rotors else -signals.q.shape[1]]  # the last are the rotors
-            out += base[:, j, : len(inertial)] @ x[[position[int(i)] for i in inertial]]
-        for effect in self.selected:
-            if effect.candidate.name not in without and joint in effect.candidate.rows.joints:
-                columns = effect.candidate.rows.columns(signals, joint, effect.hyper)
-                out += columns @ x[[position[int(i)] for i in effect.columns]]
-        return out
+        effects = [e for e in self.selected if e.candidate.name not in without and self.group.joints[j] in e.candidate.rows.joints]
+        moved = (self.columns_of(e, j, run) @ self.coefficients_of(e, x) for e in effects)
+        return sum(moved, self.of_links(j, run, x, rotors))

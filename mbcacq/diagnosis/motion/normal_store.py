@@ -317,8 +317,7 @@ class NormalStore:
         """Residual (Ttot,) of a joint's mismatch; zero where a sample is not used."""
         numbers = self.numbers[j]
         own = np.flatnonzero(np.isin(numbers, chosen))
-        order = {c: i for i, c in enumerate(chosen)}
-        return self.matrix[j][:, 0] - self.matrix[j][:, own] @ x[[order[i] for i in numbers[own]]]
+        return self.matrix[j][:, 0] - self.matrix[j][:, own] @ x[self.positions(chosen)[numbers[own]]]
 
     # samples
 

@@ -57,30 +57,6 @@ class RandomEffect:
         return replace(self, sigma=self.sigma / max(float(size), 1e-12))
 
 
-@dataclass(frozen=True)
-class RandomEffectsModel:
-    """Groups with their coefficients (all concatenated). covariance: of the coefficients, with geometry and parametric effects free."""
-
-    groups: tuple[RandomEffect, ...]
-    coefficients: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def used(self) -> float:
-        """Number of coefficients that the data determine."""
-        sigma = np.concatenate([g.sigma for g in self.groups])
-        return float(np.sum(1.0 - np.diag(self.covariance) / sigma**2))
-
-    def slices(self) -> list[slice]:
-        """Which coefficients belong to which group."""
-        return coefficients_of(self.groups)
-
-    def displacement(self, linear: LinearProblem) -> np.ndarray:
-        """(M, R) by all groups."""
-        each = zip(self.groups, self.slices(), strict=True)
-        return sum((linear.displacement(g.parts, self.coefficients[p]) for g, p in each), np.zeros_like(linear.residual))
-
-
 def coefficients_of(groups: Sequence[RandomEffect]) -> list[slice]:
     """Which coefficients belong to which group."""
     return list(consecutive(len(g.sigma) for g in groups))
@@ -151,10 +127,10 @@ class JointModel:
         return S, right[rest] - taken[:, :-1].T @ taken[:, -1]
 
     @property
-    def random_effects(self) -> RandomEffectsModel:
-        """The random effects with their coefficients."""
+    def random_effects(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (k,) of the groups and their covariance (k, k), with geometry and parametric effects free."""
         index = joined(self.groups)
-        return RandomEffectsModel(self.random, self.posterior.solution[index], self.posterior.covariance_of(index))
+        return self.posterior.solution[index], self.posterior.covariance_of(index)
 
     def log_bayes_factors(self) -> tuple[float, np.ndarray]:
         """Log Bayes factor of all groups together, and (G,) of each alone, against none, with geometry and parametric effects free."""

@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
 from mbcacq.diagnosis.model_fit import Contributions, ModelFit
+from mbcacq.diagnosis.nonparametric.joint_model import coefficients_of
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -189,23 +190,22 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
 
     It is at most what these leave of the misfit: beyond that, unmodelled effects compensate each other.
     """
-    smooth, linear = full.random_effects, full.geometry_only.linear
-    assert smooth is not None, "only called where unmodelled effects were fitted"
+    (coefficients, covariance), linear = full.random_effects, full.geometry_only.linear
     named = full.without_random_effects().joint
     misfit = rms_of(named.left_of(linear.residual)[linear.keep, :3])
     index: dict[tuple[str, str], list[int]] = {}
-    for g, group in enumerate(smooth.groups):
+    for g, group in enumerate(full.random):
         index.setdefault((group.location, group.depends_on), []).append(g)
-    out, slices = {}, smooth.slices()
+    out, slices = {}, coefficients_of(full.random)
     for key, chosen in index.items():
         mine = joined([slices[g] for g in chosen])
-        parts = [smooth.groups[g].parts for g in chosen]
-        each = (linear.displacement(p, smooth.coefficients[slices[g]]) for g, p in zip(chosen, parts, strict=True))
+        parts = [full.random[g].parts for g in chosen]
+        each = (linear.displacement(p, coefficients[slices[g]]) for g, p in zip(chosen, parts, strict=True))
         moved = named.left_of(sum(each, np.zeros_like(linear.residual)))
         moved[~linear.keep], moved[:, 3:] = 0.0, 0.0
         size = rms_of(moved[linear.keep, :3])
         slope = np.concatenate(named.slopes(parts, moved)) / (np.sum(linear.keep) * max(size, 1e-12))
-        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ smooth.covariance[np.ix_(mine, mine)] @ slope)))
+        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope)))
     return out
 
 

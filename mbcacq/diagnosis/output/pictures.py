@@ -17,6 +17,7 @@ from mbcacq.diagnosis.effect_found import MismatchEntry
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
+from mbcacq.diagnosis.nonparametric.joint_model import coefficients_of
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -146,7 +147,7 @@ class DrawnEffect:
 
 def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     """Parametric effects, and unmodelled ones by location and covariate."""
-    model, rest = full.model, full.random_effects
+    model = full.model
     for m, p in zip(model.members, model.slices(), strict=True):
         candidate, hyper = m.candidate, m.hyper
         order = hyper if candidate.periodic else None
@@ -159,9 +160,10 @@ def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
             *found,
             order,
         )
-    if rest is not None:
-        for group, p in zip(rest.groups, rest.slices(), strict=True):
-            yield DrawnEffect(UNKNOWN, group.location, group.depends_on, group.parts, rest.coefficients[p], rest.covariance[p, p])
+    if full.random:
+        coefficients, covariance = full.random_effects
+        for group, p in zip(full.random, coefficients_of(full.random), strict=True):
+            yield DrawnEffect(UNKNOWN, group.location, group.depends_on, group.parts, coefficients[p], covariance[p, p])
 
 
 def response_curves(context: Context, full: ModelFit, residual: np.ndarray) -> list[dict[str, Any]]:

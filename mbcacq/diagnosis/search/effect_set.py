@@ -68,6 +68,11 @@ def prior_sigma(members: Sequence[Member]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(m.size * m.candidate.typical for m in members)])
 
 
+def typical_sizes(members: Sequence[Member]) -> np.ndarray:
+    """(k,) typical size of each coefficient."""
+    return np.concatenate([np.zeros(0), *(m.candidate.typical for m in members)])
+
+
 def slices_of(members: Sequence[Member]) -> tuple[slice, ...]:
     """Which coefficients belong to which effect."""
     return consecutive(m.candidate.k for m in members)
@@ -89,6 +94,20 @@ class EffectSet:
         """Effects whose coefficients will be found by something else."""
         k = sum(m.candidate.k for m in members)
         return cls(tuple(members), np.zeros(k), np.zeros((k, k)))
+
+    @classmethod
+    def of(cls, members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> EffectSet:
+        """Effects with the posterior of their coefficients, each at its most probable size. A (k, k), a (k,): normal equations beyond
+        everything else, of coefficients in typical sizes."""
+        size = np.concatenate([np.zeros(0), *(np.full(m.candidate.k, m.size) for m in members)])
+        inverse = np.linalg.inv(size[:, None] * A * size + np.eye(len(size)))
+        return cls.in_typical_sizes(members, size * (inverse @ (size * a)), size[:, None] * inverse * size)
+
+    @classmethod
+    def in_typical_sizes(cls, members: Sequence[Member], coefficients: np.ndarray, covariance: np.ndarray) -> EffectSet:
+        """Effects of which coefficients and covariance are in typical sizes."""
+        typical = typical_sizes(members)
+        return cls(tuple(members), typical * coefficients, covariance * np.outer(typical, typical))
 
     def slices(self) -> tuple[slice, ...]:
         """Which coefficients belong to which effect."""

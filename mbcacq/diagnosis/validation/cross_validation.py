@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.folds import Refitted, RepeatedSearch, evaluated_folds
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
@@ -71,23 +69,9 @@ class CrossValidation:
         return max(self.before.chi2 - self.before.dof, float(np.sqrt(2.0 * max(self.before.dof, 1))))
 
 
-def cross_validate(
-    problem: DiagnosisProblem,
-    full: ModelFit,
-    folds: int = 4,
-    pool: WorkerPool | None = None,
-    progress: Callable[[str], None] = lambda text: None,
-) -> CrossValidation:
-    """The whole search repeated without each fold, its model evaluated on the fold under the noise of the full data.
-
-    pool: of processes that share the folds. progress: gets a sentence a fold.
-    """
-    problem = problem.with_linearization(full.geometry_only.linear)
-    return validated(full, RepeatedSearch.begin(problem, folds, pool or WorkerPool(), bool(full.random)), progress)
-
-
 def validated(full: ModelFit, again: RepeatedSearch, progress: Callable[[str], None] = lambda text: None) -> CrossValidation:
-    """The same of a search that was begun in other processes."""
+    """The models of the search repeated without each fold, evaluated on the fold under the noise of the full data. progress: gets a
+    sentence a fold."""
     keys, left_out = effect_keys(full), again.left_out
     if full.empty:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)

@@ -2,7 +2,7 @@
 
 ``sigma_x_mm`` .. ``sigma_rz_deg`` are standard deviations; ``cov_x_x`` .. ``cov_rz_rz`` the entries on and above the diagonal (mm, rad);
 ``cov_0`` .. ``cov_35`` a row-major 6 x 6 matrix in metres and radians, as ROS messages have it. Rotations are about the axes of the
-instrument.
+instrument. ``shared_1_x`` .. ``shared_K_rz`` (mm, rad) are changes by one standard deviation of errors that all measurements share.
 """
 
 from __future__ import annotations
@@ -44,6 +44,21 @@ def read(table: Table, size: int) -> np.ndarray | None:
         return None
     _refuse_singular(table, C)
     return C
+
+
+def read_shared(table: Table, size: int) -> np.ndarray | None:
+    """(rows, size, K) mm and rad, or None where there are no such columns. Raises ConfigError."""
+    count = sum(name.startswith("shared_") and name.endswith("_x") for name in table.columns)
+    if not count:
+        return None
+    names = [f"shared_{k + 1}_{axis}" for axis in AXES[:size] for k in range(count)]
+    table.require(names)
+    return table.group(names).reshape(-1, size, count)
+
+
+def shared_columns(shared: np.ndarray) -> dict[str, Sequence[str]]:
+    """Columns of (M, size, K)."""
+    return {f"shared_{k + 1}_{AXES[i]}": numbers(shared[:, i, k]) for k in range(shared.shape[2]) for i in range(shared.shape[1])}
 
 
 def columns(C: np.ndarray) -> dict[str, Sequence[str]]:

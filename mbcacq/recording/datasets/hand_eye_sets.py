@@ -42,7 +42,7 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         if not file.exists():
             raise ConfigError(f"{file} does not exist; give a table of poses, a file of samples, or a folder of matrices")
     if len(files) == 2 and all(f.suffix.lower() in SUFFIXES for f in files):
-        poses, points = (_table_of(f, options) for f in files)
+        poses, points = (table_of(f, options) for f in files)
         if (in_motion := read_profiles_in_motion(poses, points, options)) is not None:
             return in_motion
         if (profiles := read_profiles(points, options, poses)) is not None:
@@ -54,10 +54,10 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         return understood(_of_folder(first), options)
     if first.suffix.lower() in SAMPLES:
         return _of_samples(first, options)
-    return read_profiles(_table_of(first, options), options) or read_loose_table(first, options)
+    return read_profiles(table_of(first, options), options) or read_loose_table(first, options)
 
 
-def _table_of(path: Path, options: TableOptions) -> Table:
+def table_of(path: Path, options: TableOptions) -> Table:
     names = {file: ours for ours, file in options.columns.items()}
     return read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
 
@@ -164,7 +164,7 @@ def _data_of(text: str) -> str:
 
 def _paired(hand_file: Path, eye_file: Path, options: TableOptions) -> Table:
     """Two tables of poses, the flange's and the target's: by their times where both have them, else row by row."""
-    hand, eye = (_table_of(f, options) for f in (hand_file, eye_file))
+    hand, eye = (table_of(f, options) for f in (hand_file, eye_file))
     groups = [_whole_pose(t) for t in (hand, eye)]
     rows = _pairs_by_time(hand, eye)
     columns: dict[str, tuple[str, ...]] = {}

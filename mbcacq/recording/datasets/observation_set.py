@@ -13,8 +13,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
 from mbcacq.files.table import Table, read_table
+from mbcacq.model.board_images import FORMAT as IMAGES_FORMAT
+from mbcacq.model.board_images import BoardImages
 from mbcacq.model.cell import Cell, arm_of_flange_poses
+from mbcacq.model.json_text import from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
@@ -30,9 +34,12 @@ from mbcacq.recording.datasets.csv_columns import (
     refuse_radians,
     rotations,
 )
-from mbcacq.recording.datasets.observation_writer import write_observation_set
+from mbcacq.recording.datasets.observation_writer import IMAGES, write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
+
+MAX_IMAGES = 1 << 26  # bytes
+ANEW = "make the set anew with mbcacq data new"
 
 __all__ = ["read_observation_set", "write_observation_set"]
 
@@ -71,8 +78,15 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
             "add one of them"
         )
     extra = {**poses.pop("extra"), **centres.pop("extra", {})}
-    obs = Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
+    obs = Observations(cell=cell, **poses, **centres, images=_images(folder / IMAGES), extra=extra, cell_yaml=text)
     return with_estimated_centres(obs, str(folder / "cell.yaml"))
+
+
+def _images(path: Path) -> BoardImages | None:
+    if not path.is_file():
+        return None
+    content = read_json(read_bounded(path, MAX_IMAGES), str(path), ANEW)
+    return from_document(BoardImages, content, IMAGES_FORMAT, str(path), "description of images", ANEW)
 
 
 def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, Any]]:
@@ -161,9 +175,9 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
     elif (target := target_columns(table)) is not None and target.rotation:
         out["rotation"] = target.transforms(table)[:, :3, :3]
         table.taken |= set(target.rotation)
-    out["covariance"] = covariances.read(table, 6 if "rotation" in out else 3)
-    if out["covariance"] is None:
-        del out["covariance"]
+    width = 6 if "rotation" in out else 3
+    stated = {"covariance": covariances.read(table, width), "shared": covariances.read_shared(table, width)}
+    out |= {name: values for name, values in stated.items() if values is not None}
     extra |= table.rest()
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}

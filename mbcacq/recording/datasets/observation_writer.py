@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
 from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbered, numbers, table_text
 
+IMAGES = "images.json"
 # A rotation vector in rad: the numbers that are in memory, and a heading that cannot be meant otherwise.
 FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_rad", "flange_rotvec_y_rad", "flange_rotvec_z_rad")
 
@@ -27,6 +29,8 @@ def write_observation_set(observations: Observations, folder: Path | str, scans:
     """
     obs, folder = observations, Path(folder)
     tables = {"poses.csv": table_text(_pose_columns(obs)), "centres.csv": table_text(_centre_columns(obs))}
+    if obs.images is not None:
+        tables[IMAGES] = json.dumps(obs.images.to_dict(), indent=1)
     write_files(folder, {"cell.yaml": _cell_text(obs), **tables, **(scans or {})})
 
 
@@ -84,6 +88,8 @@ def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= _quaternion_columns(obs, obs.rotation)
     if obs.covariance is not None:
         columns |= covariances.columns(obs.covariance)
+    if obs.shared is not None:
+        columns |= covariances.shared_columns(obs.shared)
     skip = {*columns, *QUATERNION}
     return columns | _extra(obs, "centres.", skip)
 

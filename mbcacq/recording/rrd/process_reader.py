@@ -17,8 +17,8 @@ from typing import IO
 
 import pyarrow as pa
 
+from mbcacq.devices import ChildEnded, ChildProcess
 from mbcacq.errors import RecordingError
-from mbcacq.recording.rrd import rerun_program
 
 READY, BATCH, ERROR, END = b"R", b"B", b"E", b"."
 
@@ -41,39 +41,33 @@ class _ReadingProcess:
     def __init__(self, path: Path) -> None:
         self._path = path
         paths = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
-        process = self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mbcacq.recording.rrd.process_reader", str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+        self._child = ChildProcess(
+            *("-P", "-m", "mbcacq.recording.rrd.process_reader", str(path)),
+            dump=lambda entities, pipe: pipe.write(entities.encode() + b"\n"),
+            load=_frame,
             stderr=subprocess.DEVNULL,  # where the library writes why it gives up
             env={**os.environ, "PYTHONPATH": paths},
-            start_new_session=True,
         )
-        weakref.finalize(self, _end, process)
-        assert process.stdin is not None  # both are pipes
-        assert process.stdout is not None
-        self._asked, self._answers = process.stdin, process.stdout
-        self.recording_id = self._frame()[1].decode()
+        weakref.finalize(self, self._child.end, 0.0)
+        self.recording_id = self._answer()[1].decode()
 
     def batches(self, entities: str) -> Iterator[pa.RecordBatch]:
         try:
-            self._asked.write(entities.encode() + b"\n")
-            self._asked.flush()
-        except BrokenPipeError:
+            self._child.send(entities)
+        except ChildEnded:
             raise self._ended() from None
-        while (frame := self._frame())[0] == BATCH:
+        while (frame := self._answer())[0] == BATCH:
             with pa.ipc.open_stream(frame[1]) as stream:
                 yield from stream
 
-    def _frame(self) -> tuple[bytes, bytes]:
-        head = self._answers.read(9)
-        size = int.from_bytes(head[1:], "little")
-        data = self._answers.read(size) if len(head) == 9 else b""
-        if len(head) < 9 or len(data) < size:
-            raise self._ended()
-        if head[:1] == ERROR:
+    def _answer(self) -> tuple[bytes, bytes]:
+        try:
+            kind, data = self._child.receive()
+        except ChildEnded:
+            raise self._ended() from None
+        if kind == ERROR:
             raise RecordingError(data.decode())
-        return head[:1], data
+        return kind, data
 
     def _ended(self) -> RecordingError:
         return RecordingError(
@@ -82,12 +76,12 @@ class _ReadingProcess:
         )
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    rerun_program.end(process)
-    for pipe in filter(None, (process.stdin, process.stdout)):
-        with suppress(OSError):  # a line that a process which has ended did not take
-            pipe.close()
-    process.wait()
+def _frame(pipe: IO[bytes]) -> tuple[bytes, bytes]:
+    head = pipe.read(9)
+    data = pipe.read(int.from_bytes(head[1:], "little")) if len(head) == 9 else b""
+    if len(head) < 9 or len(data) < int.from_bytes(head[1:], "little"):
+        raise EOFError
+    return head[:1], data
 
 
 def main() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from mbcacq.devices import kill
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
 
@@ -61,25 +61,12 @@ def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.Comple
         try:
             out, err = child.communicate(timeout=timeout_s)
         except BaseException as error:
-            end(child)
+            kill(child)
             child.communicate()
             if isinstance(error, subprocess.TimeoutExpired):
                 raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped") from None
             raise
     return subprocess.CompletedProcess(child.args, child.returncode, out, err)
-
-
-def end(child: subprocess.Popen) -> None:
-    """Kill a child. On POSIX it leads a group of its own, which is killed with it; Windows has no such groups."""
-    if child.poll() is not None:
-        return
-    if sys.platform == "win32":
-        child.kill()
-        return
-    try:
-        os.killpg(child.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        child.kill()
 
 
 def error_line(result: subprocess.CompletedProcess[str]) -> str:

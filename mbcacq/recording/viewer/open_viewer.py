@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mbcacq.devices import kill
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError, SystemRefused
 from mbcacq.files.atomic_write import replacing, write_files
 from mbcacq.recording.rrd import layout, rerun_program
@@ -70,7 +71,7 @@ def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: No
         try:
             _, err = child.communicate()
         except BaseException:
-            rerun_program.end(child)
+            kill(child)
             child.communicate()
             raise
     if child.returncode:
@@ -235,7 +236,7 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
                 raise RecordingError(f"no picture could be made: the viewer ended by itself, code {ended}; {WITHOUT_VULKAN}") from error
             raise RecordingError(f"no picture could be made ({why}); try again, or look with mbcacq view") from error
     finally:
-        rerun_program.end(child)
+        kill(child)
         child.wait()
 
 

@@ -21,6 +21,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
+from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
     SUSPICIOUS,
@@ -92,6 +93,8 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
+        camera=camera_rows(result["images"]) if result.get("images") else [],
+        images=image_rows(result["images"]) if result.get("images") else [],
         earlier=earlier,
         arm_improved=from_fields(ArmImprovement, geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),

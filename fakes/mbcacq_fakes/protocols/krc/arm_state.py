@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import sys
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker, shared_memory
-from pathlib import Path
+from multiprocessing import shared_memory
 from types import TracebackType
 from typing import Self
+
+from mbcacq_kuka.shared_block import SharedBlock, allocated, attached
 
 from mbcacq.errors import SystemRefused
 
@@ -34,7 +32,6 @@ _OUTPUT = struct.Struct("<3q")
 _MOST_OUTPUTS = 16
 _SIZE = _OUTPUTS_AT + _MOST_OUTPUTS * _OUTPUT.size
 
-LINUX = Path("/dev/shm")  # where Linux has shared memory as files
 _NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm, which must be writable"
 
 
@@ -53,25 +50,6 @@ class ArmReading:
     standstill: bool
     arrivals: int
     fault: str
-
-
-class SharedBlock:
-    """A named block of shared memory, whose name goes away with the process that made it."""
-
-    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
-        assert memory.buf is not None  # it is None only once the memory is closed
-        self._memory, self._buffer, self._owner, self.name = memory, memory.buf, owner, memory.name
-
-    def forget(self) -> None:
-        """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""
-        if self._owner:
-            self._owner = False
-            self._memory.unlink()
-
-    def close(self) -> None:
-        """Idempotent; the creator also removes the block."""
-        self._memory.close()
-        self.forget()
 
 
 class ArmState(SharedBlock):
@@ -96,7 +74,7 @@ class ArmState(SharedBlock):
     @classmethod
     def attach(cls, name: str) -> ArmState:
         """Raises FileNotFoundError if there is no such block (yet)."""
-        state = cls(attach_shared_memory(name), False)
+        state = cls(attached(name), False)
         state._count = _COUNT.unpack_from(state._buffer, 0)[0]
         return state
 
@@ -152,44 +130,11 @@ class ArmState(SharedBlock):
         self.close()
 
 
-class _FakeBlock(shared_memory.SharedMemory):
-    """Where views of it are left, as in a program that was interrupted while it ended, it goes with the process: that is no error."""
-
-    def close(self) -> None:
-        with suppress(BufferError):
-            super().close()
-
-
 def create_shared_memory(size: int, name: str | None = None) -> shared_memory.SharedMemory:
-    """A new block whose memory is there. Raises SystemRefused where it is not: a write into memory that was only promised ends the process.
-
-    Linux promises at creation and allocates at the first write; other systems allocate at creation.
-    """
+    """A new block whose memory is there. Raises SystemRefused where it is not."""
     try:
-        memory = _FakeBlock(name=name, create=True, size=size)
+        return allocated(size, name)
     except FileExistsError:
         raise
     except OSError as error:
         raise SystemRefused(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
-    file = LINUX / memory.name.lstrip("/")
-    try:
-        if file.exists():
-            with file.open("r+b") as block:
-                os.posix_fallocate(block.fileno(), 0, size)
-    except OSError as error:
-        memory.close()
-        memory.unlink()
-        raise SystemRefused(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
-    return memory
-
-
-def attach_shared_memory(name: str) -> shared_memory.SharedMemory:
-    """Attach without making this process responsible for the block's removal."""
-    if sys.version_info >= (3, 13):
-        return _FakeBlock(name=name, track=False)
-    register = resource_tracker.register
-    resource_tracker.register = lambda *_: None  # Python < 3.13 would unlink the block when this process ends
-    try:
-        return _FakeBlock(name=name)
-    finally:
-        resource_tracker.register = register

@@ -6,7 +6,9 @@ import struct
 from collections.abc import Sequence
 from multiprocessing import shared_memory
 
-from mbcacq_fakes.protocols.krc.arm_state import SharedBlock, attach_shared_memory, create_shared_memory
+from mbcacq_kuka.shared_block import SharedBlock, attached
+
+from mbcacq_fakes.protocols.krc.arm_state import create_shared_memory
 from mbcacq_fakes.protocols.krc.settings import FAULTS
 
 COUNTERS = ("cycles", "sessions", "answers", "late", "rejected", "active", "ended")
@@ -32,7 +34,7 @@ class Control(SharedBlock):
 
     @classmethod
     def attach(cls, name: str) -> Control:
-        return cls(attach_shared_memory(name), False)
+        return cls(attached(name), False)
 
     def close(self) -> None:
         self._double.release()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from abc import abstractmethod
 from typing import Any, Self
 
+from mbcacq.devices import ChildEnded, ChildProcess
 from mbcacq_fakes.protocols.started import Started
 
 ENDS_IN_S = 5.0
@@ -16,7 +14,7 @@ ENDS_IN_S = 5.0
 class ControllerProcess(Started):
     """Context manager. The process runs a module, and talks in lines of JSON on its standard input and output."""
 
-    _process: subprocess.Popen[str] | None = None
+    _process: ChildProcess | None = None
 
     @abstractmethod
     def _start(self) -> None:
@@ -38,27 +36,20 @@ class ControllerProcess(Started):
         return self
 
     def _run(self, module: str) -> None:
-        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-        )
+        self._process = ChildProcess("-m", module)
 
-    def _ask(self, message: dict[str, Any]) -> str:
-        """A line to the process, and its answer; '' where it has ended. Raises RuntimeError where it does not run."""
-        process = self._process
-        if process is None or process.stdin is None or process.stdout is None:
+    def _ask(self, message: dict[str, Any]) -> dict[str, Any]:
+        """What the process answers. Raises RuntimeError where it does not run, or has ended."""
+        if self._process is None:
             raise RuntimeError("the fake controller does not run")
-        process.stdin.write(json.dumps(message) + "\n")
-        process.stdin.flush()
-        return process.stdout.readline()
+        try:
+            return self._process.ask(message)
+        except ChildEnded:
+            raise RuntimeError("the fake controller's process has ended") from None
 
     def stop(self) -> None:
         """End the process. Idempotent."""
         process, self._process = self._process, None
         if process is not None:
-            try:
-                process.communicate(timeout=ENDS_IN_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
+            process.end(ENDS_IN_S)
         self._release()

@@ -45,7 +45,7 @@ class EkiController:
         self._submit_init = Interpreter(self.program, f"{settings.link}_init")
         self._submit_init.tick(0.0)
         self._robot: Interpreter | None = None
-        self._ticks, self._still_s, self._stopping = 0, 0.0, False
+        self._ticks, self._still_s, self._alone_ms = 0, 0.0, 0
         self.seconds = settings.clock_ms * 1e-3
         if settings.running:
             self._start_program()
@@ -54,6 +54,8 @@ class EkiController:
         self._ticks += 1
         self.seconds += TICK_S
         self.system.rob_timer = self.settings.clock_ms + 4 * self._ticks
+        if not self.program.globals.mb_linked:
+            self._alone_ms = self.system.rob_timer
         self._apply_faults()
         if self._robot is not None and self.system.pro_act:
             self._robot.tick(self.seconds)
@@ -71,11 +73,8 @@ class EkiController:
             self._publish()
 
     def ahead_ms(self) -> float:
-        """How far the clock is ahead of the client's last sign of life; 0 without a client that shows any."""
-        beat = self.program.globals.mb_beat
-        if not beat or not self.program.globals.mb_linked:
-            return 0.0
-        return self.system.rob_timer - beat
+        """How far the clock is ahead of the client's last sign of life, of which its connection is the first; 0 without a client."""
+        return self.system.rob_timer - max(self.program.globals.mb_beat, self._alone_ms) if self.program.globals.mb_linked else 0.0
 
     @property
     def heard(self) -> bool:

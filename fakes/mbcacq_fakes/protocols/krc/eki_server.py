@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from typing import Any
 
@@ -57,5 +56,4 @@ class FakeEkiController(ControllerProcess):
 
     def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
         with self._lock:
-            line = self._ask(message)
-        return json.loads(line) if line else {"error": "its process has ended"}
+            return self._ask(message)

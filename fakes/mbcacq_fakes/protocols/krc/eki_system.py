@@ -10,12 +10,11 @@ from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, Struct
-from mbcacq_fakes.protocols.krc.motion import Path, Unreachable, angles, flange_for, frame, lin, ptp, tool_in_base
+from mbcacq_fakes.protocols.krc.motion import Path, angles, frame, ptp, tool_in_base
 
 TICK_S = 0.004
 _MODES = ("", "#T1", "#T2", "#AUT", "#EX")
 _AXES, _POSE = ("a1", "a2", "a3", "a4", "a5", "a6"), ("x", "y", "z", "a", "b", "c")
-_T1_MM_S = 250.0
 LED_PERCENT = 20.0  # of the axes' speeds, by hand
 
 
@@ -80,7 +79,6 @@ class System:
         self.peri_rdy = self.alarm_stop = self.user_saf = True
         self.stopmess = self.pro_act = False
         self.vel_axis, self.acc_axis = Cells(6, 100), Cells(6, 100)
-        self.vel, self.acc = Struct(cp=0.2), Struct(cp=1.0)
         self.advance, self.act_tool, self.act_base = 3, -1, -1
         self.robroot = _struct(settings.robroot)
         self.tool = self.base = _struct((0.0,) * 6)
@@ -135,27 +133,19 @@ class Machine:
         """A motion instruction is not finished."""
         return self._path is not None or self._stuck
 
-    def begin(self, kind: str, target: Any) -> None:
+    def begin(self, target: Any) -> None:
         if self._system.advance != 0 and not _here(target, self.arm.q):
             raise KrlError("this controller drives only with $ADVANCE=0")
         self._stuck = self.ignore
         if self.ignore:
             return
-        system = self._system
-        try:
-            if kind == "ptp":
-                goal = [getattr(target, a) for a in _AXES]
-                if any(not low <= v <= high for v, (low, high) in zip(goal, self._settings.limits_deg, strict=True)):
-                    raise Unreachable("software limit switch")
-                goal[0] -= self.short_deg
-                percent = ([system.vel_axis[k] for k in range(1, 7)], [system.acc_axis[k] for k in range(1, 7)])
-                self._path = ptp(self._set_point, goal, self._settings.speed_deg_s, percent)
-            else:
-                goal = flange_for(frame(_row(target)), frame(_row(system.tool)), frame(_row(system.base)), frame(_row(system.robroot)))
-                fast = min(system.vel.cp * 1000.0, _T1_MM_S if system.mode_op == "#T1" else 2000.0)
-                self._path = lin(self._set_point, goal, self.kinematics, self._settings.limits_deg, fast, system.acc.cp * 1000.0)
-        except Unreachable as error:
-            self.fail(str(error))
+        goal = [getattr(target, a) for a in _AXES]
+        if any(not low <= v <= high for v, (low, high) in zip(goal, self._settings.limits_deg, strict=True)):
+            self.fail("software limit switch")
+            return
+        goal[0] -= self.short_deg
+        percent = ([self._system.vel_axis[k] for k in range(1, 7)], [self._system.acc_axis[k] for k in range(1, 7)])
+        self._path = ptp(self._set_point, goal, self._settings.speed_deg_s, percent)
 
     def lead(self, target_deg: Sequence[float]) -> None:
         """A person jogs the arm to ``target_deg`` (6,), while no program moves it."""
@@ -178,12 +168,8 @@ class Machine:
     def tick(self) -> bool:
         """One cycle of 4 ms. True if the arm moved."""
         if self._path is not None:
-            try:
-                self._set_point = self._path.step(TICK_S, self._system.ov_pro / 100.0)
-            except Unreachable as error:
-                self._path = None
-                self.fail(str(error))
-            if self._path is not None and self._path.done:
+            self._set_point = self._path.step(TICK_S, self._system.ov_pro / 100.0)
+            if self._path.done:
                 self._path = None
         return self.arm.step(self._set_point)
 

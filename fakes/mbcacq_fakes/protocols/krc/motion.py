@@ -1,4 +1,4 @@
-"""PTP and LIN of the fake controller: all axes together along one path, trapezoidal, braking on the path. deg, mm, s."""
+"""PTP of the fake controller: all axes together along one path, trapezoidal, braking on the path. deg, mm, s."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from math import cos, radians, sin, sqrt
 
 import numpy as np
 
-from mbcacq_fakes.dynamics.ideal_arm import Kinematics
-from mbcacq_fakes.world.rigid import invert, rigid, rotation_about
+from mbcacq_fakes.world.rigid import invert
 
 _RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
-_ORIENTATION_DEG_S = 100.0
-
-
-class Unreachable(Exception):
-    """A pose that the arm cannot take."""
 
 
 def frame(values: Sequence[float]) -> np.ndarray:
@@ -82,70 +76,6 @@ def ptp(
     return Path(lambda s: tuple((a + s * travel).tolist()), float(np.min(fast[moving])), float(np.min(steep[moving])))
 
 
-def lin(
-    start: Sequence[float],
-    target: np.ndarray,
-    kinematics: Kinematics,
-    limits: Sequence[tuple[float, float]],
-    speed: float,
-    acceleration: float,
-) -> Path | None:
-    """The flange straight to ``target`` (4, 4) mm in the robot's root, turning evenly. speed mm/s, acceleration mm/s^2."""
-    T0 = frame(kinematics.pose(start))
-    shift, axis, angle = target[:3, 3] - T0[:3, 3], *_rotation(T0[:3, :3].T @ target[:3, :3])
-    length, turning = float(np.linalg.norm(shift)), float(np.degrees(angle))
-    if length < 1e-9 and turning < 1e-9:
-        return None
-    v = min(speed / length if length > 1e-9 else np.inf, _ORIENTATION_DEG_S / turning if turning > 1e-9 else np.inf)
-    a = min(acceleration / length if length > 1e-9 else np.inf, 2.0 * _ORIENTATION_DEG_S / turning if turning > 1e-9 else np.inf)
-    last = [tuple(start)]
-
-    def at(s: float) -> tuple[float, ...]:
-        pose = rigid(T0[:3, :3] @ rotation_about(axis, np.asarray(s * angle)), T0[:3, 3] + s * shift)
-        last[0] = joints_at(pose, last[0], kinematics, limits)
-        return last[0]
-
-    return Path(at, float(v), float(a))
-
-
-def joints_at(pose: np.ndarray, near: Sequence[float], kinematics: Kinematics, limits: Sequence[tuple[float, float]]) -> tuple[float, ...]:
-    """Joints (6,) deg that put the flange at ``pose``, next to ``near``, by Newton's method. Raises Unreachable."""
-    q = np.array(near, dtype=float)
-    for _ in range(20):
-        away = _difference(frame(kinematics.pose(q.tolist())), pose)
-        if np.abs(away[:3]).max() < 1e-6 and np.abs(away[3:]).max() < 1e-9:
-            break
-        slope = np.empty((6, 6))
-        for k in range(6):
-            moved = q.copy()
-            moved[k] += 1e-4
-            slope[:, k] = (away - _difference(frame(kinematics.pose(moved.tolist())), pose)) / 1e-4
-        q += np.clip(np.linalg.lstsq(slope, away, rcond=1e-9)[0], -5.0, 5.0)
-    else:
-        raise Unreachable("the arm does not reach this pose")
-    if any(not low <= v <= high for v, (low, high) in zip(q, limits, strict=True)):
-        raise Unreachable("a software limit lies on the path")
-    return tuple(q.tolist())
-
-
-def _difference(T: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    axis, angle = _rotation(T[:3, :3].T @ wanted[:3, :3])
-    return np.concatenate([wanted[:3, 3] - T[:3, 3], T[:3, :3] @ axis * angle])
-
-
-def _rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Axis and angle (rad, 0..pi)."""
-    vector = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = float(np.linalg.norm(vector))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0)))
-    return (vector / sine, angle) if sine > 1e-12 else (np.array([0.0, 0.0, 1.0]), 0.0)
-
-
 def tool_in_base(flange: np.ndarray, tool: np.ndarray, base: np.ndarray, robroot: np.ndarray) -> np.ndarray:
     """$POS_ACT: the tool in the active base, both in the world in which $ROBROOT stands."""
     return invert(base) @ robroot @ flange @ tool
-
-
-def flange_for(target: np.ndarray, tool: np.ndarray, base: np.ndarray, robroot: np.ndarray) -> np.ndarray:
-    """The inverse of tool_in_base."""
-    return invert(robroot) @ base @ target @ invert(tool)

@@ -14,7 +14,7 @@ _MAX_TURNS = 10_000  # of loops, without waiting
 class KrlMotion(Protocol):
     """What a robot interpreter drives."""
 
-    def begin(self, kind: str, target: Any) -> None: ...
+    def begin(self, target: Any) -> None: ...
     def brake(self) -> None: ...
     def abandon(self) -> None: ...
     @property
@@ -78,7 +78,7 @@ class Interpreter:
         kind, value = self._stack[-1][1]
         if kind == "wait":
             return now < value - 1e-9
-        if kind in ("ptp", "lin", "brake"):
+        if kind in ("ptp", "brake"):
             return self._motion is not None and self._motion.moving
         if kind == "idle" and value != now:
             self._stack[-1] = (self._stack[-1][0], ("go", None))
@@ -128,5 +128,5 @@ class Interpreter:
         elif request == "brake":
             self._motion.brake()
         else:
-            self._motion.begin(request, value)
+            self._motion.begin(value)
         self._stack[-1] = (running, (request, value))

@@ -224,8 +224,8 @@ def _wait(line: str, read: Callable[[str], str]) -> list[str] | None:
 def _motion(line: str, word: str, read: Callable[[str], str]) -> list[str] | None:
     """What moves the arm, stops it or leaves the program."""
     upper = line.upper()
-    if word in ("PTP", "LIN"):
-        return [f"yield {word.lower()!r}, {read(line[3:])}"]
+    if word == "PTP":
+        return [f"yield 'ptp', {read(line[3:])}"]
     if upper in ("HALT", "BRAKE"):
         return [f"yield {upper.lower()!r}, None"]
     if upper == "RESUME":
