@@ -59,6 +59,8 @@ def make_readable(path: Path) -> list[Recovered]:
     try:
         with opened_once():
             return _made_readable(path)
+    except RecordingError:
+        raise
     except OSError as error:
         where = error.filename or path
         raise RecordingError(f"{where} cannot be written: {error.strerror}; give another folder or free the disk") from error
