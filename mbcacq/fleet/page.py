@@ -12,7 +12,7 @@ from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
 from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.model.cell import SIMULATED
 from mbcacq.quantities import capitalised, fixed, in_degrees, micrometres, with_unit
-from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
+from mbcacq.report.several import ArmTypeContent, FleetChart, FleetContent
 
 TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
 MOST_LISTED = 200  # outliers and broken recordings on the page; the table has all
