@@ -23,6 +23,7 @@ UNITS = {
     "mm_per_rad": ("mm/rad", 1.0),
     "mm_per_N": ("µm/N", 1e3),
     "mm_per_K": ("µm/K", 1e3),
+    "rad_per_K": ("µrad/K", 1e6),
     "ppm_per_K": ("ppm/K", 1.0),
     "Nms_per_rad": ("N·m·s/rad", 1.0),
     "rad_per_Nms": ("rad/(N·m·s)", 1.0),

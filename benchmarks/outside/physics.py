@@ -280,7 +280,7 @@ KINDS = {
     "rocking_base": Kind(rocking_base),
     "stiffening_gear": Kind(stiffening_gear, (SLACK, SLACK | {"joint_compliance"})),
     "softening_gear": Kind(softening_gear),
-    "warm_zero": Kind(warm_zero),
+    "warm_zero": Kind(warm_zero, (frozenset({"thermal_zero_shift"}),)),
     "hose_at_mount": Kind(hose_at_mount),
     "last_way": Kind(last_way),
 }

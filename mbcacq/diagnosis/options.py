@@ -32,6 +32,7 @@ class DiagnosisOptions:
     # above it in 4 of 1000 recordings of 50 poses and more.
     least_e_value: float = 100.0  # of all effects together, for an effect to be there
     noteworthy_e_value: float = 2.0  # above which it cannot be told whether there is one
+    substantial: float = 0.1  # share of the held-out excess that a name must surely remove, so that a recording is partly explained
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
     discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
 

@@ -20,6 +20,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
+from mbcacq.effects.support import joints_without_drive
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, adjust, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
@@ -72,6 +73,11 @@ class DiagnosisProblem:
     def in_part(self) -> bool:
         """Whether it has so many poses that effects are searched in a part of them, and what is unmodelled stands at all locations."""
         return self.linear.obs.n_poses > unmodelled.OPTIONS.many_poses
+
+    @property
+    def possible(self) -> list[Candidate]:
+        """The candidates without names that the drives of the arm rule out: what it cannot have need not be excluded."""
+        return [c for c in self.candidates if not joints_without_drive(c, self.linear.obs.cell.robot)]
 
     def searched(self, keep: np.ndarray) -> DiagnosisProblem:
         """The poses of the centres keep (M,) bool in which effects are searched: all of them, or as many as are searched of a long

@@ -32,8 +32,10 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.found_again import Repetitions, with_spread_between_parts
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
+from mbcacq.effects.effect import label_of
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.quantities import K
 
 NOTHING_REPEATED: Repetitions = {}
 
@@ -48,7 +50,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     after, residual_after = training_score(full.joint)
     found = averaged_over_sets(full, with_alternatives(full, effects_by_contribution(full, contributions, validation, again)))
-    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full)
+    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full, found)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
     # That nothing was found says little where little could have been.
@@ -63,8 +65,8 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     mismatch = mismatch_table(full, contributions, before)
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
-    if verdict == "explained" and (once or all(e.trend for e in effects)):
-        verdict = "cannot_tell"  # a name without a figure, or one that halves do not both give, explains nothing
+    if once or (effects and all(e.trend for e in effects)):
+        verdict = "cannot_tell"  # a name that halves do not both give, or trends alone, explain nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
@@ -88,7 +90,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
             *once,
             *evidence.untried,
         ),
-        exclusion_limits=exclusion_limits(full, setup.candidates, there),
+        exclusion_limits=exclusion_limits(full, setup.possible, there),
         between_recordings=recordings,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, residual, residual_after),
@@ -145,27 +147,40 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
     return float(np.sqrt(np.mean(joint[linear.keep]) + np.sum(noise.point**2))) if linear.keep.any() else fallback
 
 
-def verdict_of(full: ModelFit) -> str:
-    """The verdict on the data of the fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell``
-    if the evidence is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared.
-    Otherwise it says which explain more of the mismatch: effects of the catalogue, or unmodelled ones. Joints that repeat worse than their
-    data sheet has it are a mismatch of their own, and a name that a general function predicts better than is no explanation: the verdict
-    is then neither ``none`` nor ``explained``.
+def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
+    """The verdict on a fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell`` if the evidence
+    is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared. Beside something
+    unmodelled it is ``partly_explained`` if names that all these sets share explain a substantial share of the mismatch
+    (``names_explain``), else ``unexplained`` or ``cannot_tell``.
+    Joints that repeat worse than their data sheet has it are a mismatch of their own, and a name that a general function predicts better
+    than is no explanation: the verdict is then neither ``none`` nor ``explained``.
+
+    effects: as they are reported.
     """
     fit, noisy = full.evidence, joint_noise_factor(full) > 1.0
     if fit.cut_short:
         return "cannot_tell"
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided or noisy else "none"
-    if not fit.significant:
-        return "unexplained"
-    if alternatives_to(fit, reported_hypothesis(fit)):
+    reported = reported_hypothesis(fit)
+    others = alternatives_to(fit, reported) if fit.significant else []
+    open_ones = frozenset[str]().union(*((reported.labels - other.labels) | changed for other, changed in others))
+    shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
+    if full.random and names_explain(shared):
+        return "partly_explained"
+    if others:
         return "cannot_tell"
-    if not full.random:
-        return "partly_explained" if noisy or better_in_general(fit, reported_hypothesis(fit)) else "explained"
-    contributions = Contributions(full)
-    rest = contributions.of(contributions.unmodelled)
-    return "partly_explained" if full.model.gain > rest else "unexplained"
+    if full.random:
+        return "unexplained"
+    return "partly_explained" if noisy or better_in_general(fit, reported) else "explained"
+
+
+def names_explain(effects: Sequence[EffectFound]) -> bool:
+    """Whether an effect of the catalogue that is no trend removes a substantial share of the held-out excess over noise, beyond the
+    expanded uncertainty of that share. An order that is not determined is one of its figures, and takes nothing from the name.
+    """
+    shares = (e.held_out_gain - K * e.held_out_gain_std for e in effects if e.name != UNKNOWN and not e.trend)
+    return max(shares, default=0.0) > OPTIONS.substantial
 
 
 def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:

@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from mbcacq.files.mesh_file import Mesh
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 
@@ -106,6 +107,13 @@ class Artefact:
     expansion_ppm_per_K: float | None = None
     certified: bool = True
     known_length: KnownLength | None = None
+    box: np.ndarray | None = None  # (2, 3) mm, of a part: lowest and highest corner in its frame
+    mesh: Mesh | None = None  # of a part, in a loaded plan
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it is a part, whose surface is scanned: it has no balls, and calibrates nothing by itself."""
+        return not self.ball_ids
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ CASES = [
     ("joint_scale", ("A5",), [4e-4], None),
     ("wrist_coupling", ("A4", "A5"), [3e-4], None),
     ("thermal_growth", ("link2",), [0.04], None),
+    ("thermal_zero_shift", ("A3",), [2e-5], None),
     ("mount_shift", ("mount",), [0.05, 0.04, -0.05, 2e-4, -2e-4, 1e-4], 30.0),
     ("scanner_scale", ("scanner",), [400.0], None),
     ("scanner_warmup", ("scanner",), [0.02, 0.0, 0.06], 600.0),

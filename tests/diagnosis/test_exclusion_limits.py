@@ -38,6 +38,11 @@ def one(candidates, name, *where):
     return next(c for c in candidates if c.name == name and c.where == where)
 
 
+def test_a_name_that_no_drive_of_the_arm_can_have_needs_no_limit(setup):
+    assert "joint_scale" in {c.name for c in setup.candidates}
+    assert {c.name for c in setup.candidates} - {c.name for c in setup.possible} == {"joint_scale"}
+
+
 def drawn(projected, X, coefficients, rng):
     """The projected problem of a recording with that effect and unit noise."""
     r0 = X @ coefficients + rng.normal(size=len(X))

@@ -130,6 +130,10 @@ def thermal_growth(world: World) -> Errors:
     return Errors(growth={3: 1e-4 * warmer})
 
 
+def thermal_zero_shift(world: World) -> Errors:
+    return Errors(joint=at_joint(2, 3e-7 * (world.temperature - world.temperature[np.argmin(world.order)])))
+
+
 def thermal_growth_over_time(world: World) -> Errors:
     return Errors(growth={1: 4e-4 * (1 - np.exp(-world.time / TAU))})
 
@@ -248,6 +252,7 @@ CASES = (
     Case("joint_scale", ("A2",), joint_scale, {"A2.ratio": 3e-7}, depends_on="q2"),
     Case("wrist_coupling", ("A4", "A5"), wrist_coupling, {"ratio": -4e-7}, depends_on="q4"),
     Case("joint_step", ("A6",), joint_step, {"A6.at_pose": np.nan, "A6.step_deg": 2e-4}, hyper=float(MOMENT), depends_on="pose"),
+    Case("thermal_zero_shift", ("A3",), thermal_zero_shift, {"A3.zero_rad_per_K": 3e-7}, depends_on="robot_C"),
     Case("thermal_growth", ("link4",), thermal_growth, {"link4.growth_mm_per_K": 1e-4}, depends_on="robot_C"),
     Case(
         "thermal_growth",

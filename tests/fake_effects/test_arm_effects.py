@@ -152,6 +152,13 @@ def test_a_link_grows_along_itself_with_its_temperature():
     assert np.all(np.linalg.norm(slow.frame[1:, 2], axis=1) < np.linalg.norm(moved.frame[1:, 2], axis=1))
 
 
+def test_a_warm_bracket_turns_the_zero_of_its_joint():
+    robot = np.linspace(21.0, 29.0, 9)
+    effect, moved = act("thermal_zero_shift", moments(spread_q(9), robot=robot), where="A3", bracket_mm=6.0)
+    np.testing.assert_allclose(moved.joint[:, 2], effect.truth()["zero_rad_per_K"] * (robot - 21.0), rtol=1e-6, atol=1e-15)
+    assert not np.delete(moved.joint, 2, axis=1).any()
+
+
 def test_a_wrong_payload_shows_only_through_elasticity():
     q = spread_q(25)
     at = moments(q)

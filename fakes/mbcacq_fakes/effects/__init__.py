@@ -37,6 +37,7 @@ CATALOGUED = (
     "exposure_latency",
     "joint_settling",
     "mount_clearance",
+    "thermal_zero_shift",
 )
 UNCATALOGUED = (
     "axis_wobble",

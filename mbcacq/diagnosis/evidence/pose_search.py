@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import (
     Scored,
@@ -27,6 +29,7 @@ from mbcacq.effects.effect_term import UNKNOWN
 # Effects enter a staged search together where each has this share of the log odds of the best one, and of its own beside those before it:
 # what is at another location hardly changes them, and what is the same thing as another loses them.
 SHARE_OF_ODDS = 0.5
+SAME = 1.0 - 1e-9  # correlation of two names of one covariate: the torque about a joint and the component of the moment there
 
 
 @dataclass(kw_only=True)
@@ -51,7 +54,22 @@ class PoseSearch(EvidenceSearch):
         if self.staged:
             self.climbed(best, [c for c in self.candidates if catalogue.declaration(c.name).every_arm])
             best = self.ranked()[0]
-        return self.climbed(best, self.candidates)
+            return self.climbed(best, self.candidates)
+        best = self.climbed(best, self.candidates)
+        common = self.with_common_effects(best)
+        return best if common is best else self.climbed(common, self.candidates)
+
+    def with_common_effects(self, best: Hypothesis) -> Hypothesis:
+        """A set with an unmodelled function of a load, or, where that is more probable, one with what every arm has at all of its joints
+        (elasticity) beside it or in its place. A general function may be better than any one of these and worse than all of them, so that
+        single steps do not lead there.
+        """
+        common = [c for c in self.candidates if catalogue.declaration(c.name).every_arm]
+        if not {c.depends_on for c in common} & {m.candidate.depends_on for m in best.unmodelled}:
+            return best
+        present = [m.candidate for m in best.members]
+        further = [evidence_of_one(best.conditioned, c)[1] for c in common if self.allowed(c, present)]
+        return max(best, self.pruned(self.estimated((*best.members, *further), best.point)), key=lambda h: h.log_posterior)
 
     def grown(self, beam: Sequence[Hypothesis], candidates: list[Candidate]) -> list[Hypothesis]:
         """As the search of a short recording; a staged one follows one set, which effects enter together."""
@@ -221,15 +239,25 @@ class PoseSearch(EvidenceSearch):
 
     def compare_general_forms(self, best: Hypothesis) -> None:
         """Sets with a general function in the place of all names at a joint that depend on its load or angle: two names that come near to
-        one curve are no explanation of it.
+        one curve are no explanation of it. A function of nothing but their own covariate is the same physics with a curve: it stands beside
+        them, as what they leave.
         """
         for at in dict.fromkeys(m.candidate.where for m in best.catalogued if len(m.candidate.where) == 1):
             names = [m for m in best.catalogued if m.candidate.where == at]
             others = tuple(m for m in best.members if m not in names)
             process = None if self.out_of_time() else self.unmodelled.process(best.point.conditioned(others), names[0])
-            members = (*others, process) if process is not None else others
-            if process is not None and self.looked_at(members, best).log_evidence > best.log_evidence - OPTIONS.reach:
+            if process is None:
+                continue
+            members = (*(best.members if self.same_covariate(process, names) else others), process)
+            if self.looked_at(members, best).log_evidence > best.log_evidence - OPTIONS.reach:
                 self.estimated(members, best.point)
+
+    def same_covariate(self, process: Member, names: Sequence[Member]) -> bool:
+        """Whether a process is a function of nothing but the one covariate of some named effects."""
+        own, *further = {m.candidate.depends_on for m in names}
+        of = {name for part in process.candidate.parts(None) for name in part.covariates}
+        value = self.context.value
+        return not further and all(abs(np.corrcoef(value(name), value(own))[0, 1]) > SAME for name in of)
 
     def exchange(self, best: Hypothesis) -> None:
         self.generalise(best)

@@ -19,16 +19,18 @@ from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.found_again import Repetitions
+from mbcacq.diagnosis.validation.found_again import Repetitions, group_label
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters, joined_parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import K
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
+MOST_GROUPS = 12  # whose sizes are stated
 SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
@@ -133,7 +135,7 @@ def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
 
 def unmodelled_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation, again: Repetitions) -> list[Ranked]:
     """One entry for each location of the unmodelled effects. In a long recording they act at all locations: there is one entry then, at the
-    location of the largest evidence.
+    location of the largest evidence, with the sizes that are beyond their expanded uncertainty and that halves both show.
     """
     if not full.random:
         return []
@@ -141,7 +143,9 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     ranked = sorted(size, key=lambda key: -size[key].value)
     if full.everywhere:
         first = full.cells[0]
-        parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
+        repeated = [key for key in ranked if (label := group_label(*key)) not in again or again[label].repeats]
+        stated = [key for key in repeated if size[key].value > K * size[key].std] or ranked[:1]
+        parameters, p_value = _rms_parameters(size, stated[:MOST_GROUPS]), _bayes_p(first.log_bayes_factor)
         effect = EffectFound(
             name=UNKNOWN,
             where=(first.location,),

@@ -32,7 +32,7 @@ def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -
     """Every candidate that was not found, at its limit, but for those that the geometry absorbs and that change no length."""
     found = {m.candidate.location for m in full.model.members}
     stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
-    missed = [c for c in of_fewest_coefficients(setup.candidates) if (c.name, c.where) not in found]
+    missed = [c for c in of_fewest_coefficients(setup.possible) if (c.name, c.where) not in found]
     limited = [coefficient_limit(full.conditioned, c, stated) for c in missed]
     return [e for e in limited if np.isfinite(e.in_typical_sizes) or not harmless(there, e)]
 

@@ -23,7 +23,7 @@ SAME_MOMENT = 0.05  # share of the poses within which two moments may be one: pa
 
 
 def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
-    """Each effect of a fit, and each location of its unmodelled ones, in the parts of a repeated search."""
+    """Each effect of a fit, each location of its unmodelled ones, and each covariate there, in the parts of a repeated search."""
     if full.empty:
         return {}
     parts, own = again.models(lambda count: None), by_effect(full.model)
@@ -37,7 +37,15 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         found_in = sum(shows(part, at, own) for part in parts)
         spread = size_spread(full.random, parts) if again.of_halves else 0.0
         out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
+    for key in dict.fromkeys((group.location, group.depends_on) for group in full.random):
+        found_in = sum(any((group.location, group.depends_on) == key for group in part.random) for part in parts)
+        out[group_label(*key)] = FoundAgain(key[0], found_in, len(parts), again.of_halves)
     return out
+
+
+def group_label(at: str, depends_on: str) -> str:
+    """The label of the unmodelled effect of one covariate at a location."""
+    return label_of(UNKNOWN, (f"{at}({depends_on})",))
 
 
 def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> float:

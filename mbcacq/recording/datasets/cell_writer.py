@@ -104,6 +104,8 @@ def _artefact(artefact: Artefact) -> dict[str, Any]:
         data["known_length"] = Flow(
             {"balls": FlowList(known.balls), "length_mm": float(known.length_mm), "uncertainty_mm": float(known.uncertainty_mm)}
         )
+    if artefact.box is not None:
+        return data | {"box_mm": [_list(corner) for corner in artefact.box]}
     data["balls"] = [
         Flow({"id": int(ball), **({} if np.isnan(centre).any() else {"centre_mm": _list(centre)}), "diameter_mm": float(diameter)})
         for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
