@@ -25,7 +25,7 @@ from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
+from mbcacq.quantities import K, in_degrees, micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
@@ -203,7 +203,7 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
         for name in partly_covered(setup.context, candidate, hyper):
             values = setup.context.value(name)
             share = periods_covered(values, hyper or 0.0)
-            low, high = np.degrees([values.min(), values.max()])
+            low, high = in_degrees([values.min(), values.max()])
             out.append(
                 f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period; it is a "
                 f"smooth function of {name} from {low:.0f} to {high:.0f}°, and is not shown to repeat beyond"

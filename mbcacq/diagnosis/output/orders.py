@@ -19,7 +19,7 @@ from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.search.effect_columns import covariates
 from mbcacq.diagnosis.validation.found_again import jackknife
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.quantities import K
+from mbcacq.quantities import K, in_degrees
 
 MOST_PEAKS = 3  # that are stated with their odds; more say that the order is not determined
 SHARPEST = 0.5  # expanded uncertainty from which an order is not determined: it does not tell one whole number from the next
@@ -130,7 +130,7 @@ def stated_orders(
     ]
     single = [determined and len(line) == 1 for determined, line in zip(known, lines, strict=True)]
     total = np.array([line[0].sigma for line in lines])
-    turned = np.degrees(np.sqrt(np.maximum(total**2 - sigmas**2, 0.0)) * abs(middle))
+    turned = in_degrees(np.sqrt(np.maximum(total**2 - sigmas**2, 0.0)) * abs(middle))
     parameters = of_lines(effect.parameters, at, (total, turned), single, parts, spread)
     return replace(effect, parameters=parameters, orders=(*effect.orders, *listed))
 

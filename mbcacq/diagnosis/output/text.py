@@ -17,7 +17,20 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
 from mbcacq.estimation.several_recordings import BetweenRecordings
-from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
+from mbcacq.quantities import (
+    K,
+    fixed,
+    in_degrees,
+    listed,
+    measured,
+    micrometres,
+    p_value,
+    percent,
+    significant,
+    split_unit,
+    uncertainty,
+    with_unit,
+)
 
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
@@ -336,7 +349,7 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
 
 def size_of_shape(effect: EffectFound, shape: ResponseShape) -> str:
     """How large an unmodelled effect of a motion is."""
-    size = f"{significant(shape.rms)} N·m" if effect.channel == "tau" else f"{significant(float(np.degrees(shape.rms)))}°"
+    size = f"{significant(shape.rms)} N·m" if effect.channel == "tau" else f"{significant(float(in_degrees(shape.rms)))}°"
     return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 
