@@ -23,6 +23,7 @@ from mbcacq.devices.protocols import Scan
 from mbcacq.model.cell import Artefact
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.field_of_view import margin
+from mbcacq.spheres.found import FoundSpheres
 
 
 class BallFinder(Protocol):
@@ -66,6 +67,9 @@ class GatedExposures:
         contradiction, number = "", 0
         if first:
             self._prediction.new_station()
+        if self.loaded.cell.artefact(pose.artefact).is_part:
+            return self._scans_of_part(pose)
+        if first:
             taken, number = self._placed(pose, q)
         again = range(max(number, pose.exposures), pose.exposures + self.options.repeated_exposures)
         exposures = chain(self._needed(pose, range(number, pose.exposures)), (self._expose(pose, k) for k in again))
@@ -85,6 +89,15 @@ class GatedExposures:
         mean = mean_centres(found)
         self._prediction.learn(pose, mean.ball, mean.xyz)
         return found, ""
+
+    def _scans_of_part(self, pose: PlannedPose) -> tuple[list[Centres], str]:
+        """Exposures of a surface, which have no balls and are judged when they are merged."""
+        for exposure in range(pose.exposures):
+            scan = self._capture()
+            self._report_scan(pose, exposure, scan)
+            if not len(scan.points):
+                return [], "its scan shows no point of the part"
+        return [FoundSpheres.nothing() for _ in range(pose.exposures)], ""
 
     def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""

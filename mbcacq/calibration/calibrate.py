@@ -33,7 +33,7 @@ from mbcacq.errors import CalibrationError, ContradictionError, MbcacqError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions, select_phases, without_copies
 from mbcacq.estimation.solver import one_thread
-from mbcacq.estimation.terms import Term, shared_errors
+from mbcacq.estimation.terms import Term, own_errors
 from mbcacq.model.observations import Observations
 
 
@@ -72,7 +72,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return _staged(observations, options)
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
-    options = with_clock_term(obs, replace(options, terms=(*options.terms, *shared_errors(obs))))
+    options = with_clock_term(obs, replace(options, terms=(*options.terms, *own_errors(obs))))
     adjusted = _adjusted(obs, options)
     if options.kinematics:
         return with_clock(_arm_and_hand_eye(cell_of(with_random_links(adjusted))))

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.terms import Term
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -114,12 +114,37 @@ class CellEstimate:
             In mm over the unit of each of the g parameters.
         """
         A = identifiability.base_columns(self.layout, self.state, q, xyz[:, None])[0]
-        if self.effects:
-            fill_effect_columns(A, self.names, self.state, self.effects, q, xyz)
+        position = {name: j for j, name in enumerate(self.names)}
+        terms = self.effects.at(single_points(self.effects, q, xyz)) if self.effects else ()
+        free = [t for t in terms if t.names[0] in position]  # the others are held
+        for t, columns in zip(free, term_columns(self.state, free, q, xyz), strict=True):
+            A[:, :, [position[name] for name in t.names]] = columns
         return A
 
+    def point_errors(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Errors of base positions by independent causes: the calibrated parameters, and what effects may be beyond where they were learnt.
+
+        All uncertainties of predictions are made of it. The covariance of two points is the product of their errors.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3, r) ndarray
+            In mm, for each of r causes of unit variance.
+        """
+        known = self.point_columns(q, xyz) @ square_root(self.covariance)
+        beyond = self.effects.beyond(single_points(self.effects, q, xyz)) if self.effects else ()
+        open_ = [columns * t.sigma for t, columns in zip(beyond, term_columns(self.state, beyond, q, xyz), strict=True)]
+        return np.concatenate([known, *open_], axis=2)
+
     def point_covariance(self, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
-        """Covariance of base positions by the calibrated parameters. The base is where the held parameters (theta_1, d_1) put it.
+        """Covariance of base positions by their ``point_errors``. The base is where the held parameters (theta_1, d_1) put it.
 
         Parameters
         ----------
@@ -135,8 +160,8 @@ class CellEstimate:
         (P, 3, 3) ndarray
             In mm^2, base frame.
         """
-        A = self.point_columns(q, xyz)
-        covariance = A @ self.covariance @ np.swapaxes(A, 1, 2)
+        A = self.point_errors(q, xyz)
+        covariance = A @ np.swapaxes(A, 1, 2)
         return covariance + self.measuring_covariance(q, xyz) if measuring else covariance
 
     def measuring_covariance(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
@@ -157,8 +182,8 @@ class CellEstimate:
         seen, moved = measuring_terms(self.state, self.noise, q, xyz)
         return seen + moved
 
-    def distance_columns(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions from points a to points b, and derivatives of their distances by the free parameters.
+    def distance_errors(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions from points a to points b, and errors of their distances by independent causes, as of ``point_errors``.
 
         Parameters
         ----------
@@ -172,14 +197,14 @@ class CellEstimate:
         Returns
         -------
         tuple of ndarray
-            Unit vectors (P, 3) in the base frame; derivatives (P, g) in mm over the unit of each parameter.
+            Unit vectors (P, 3) in the base frame; errors (P, r) in mm, for each of r causes of unit variance.
         """
         pa, pb = self.to_base(qa, a), self.to_base(qb, b)
         u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
-        return u, np.einsum("pi,pig->pg", u, self.point_columns(qb, b) - self.point_columns(qa, a))
+        return u, np.einsum("pi,pig->pg", u, self.point_errors(qb, b) - self.point_errors(qa, a))
 
     def distance_uncertainty(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Standard uncertainty of distances by the calibrated parameters; the noise of measuring the ends is not included.
+        """Standard uncertainty of distances by their ``distance_errors``; the noise of measuring the ends is not included.
 
         Parameters
         ----------
@@ -195,8 +220,7 @@ class CellEstimate:
         (P,) ndarray
             In mm, k = 1.
         """
-        row = self.distance_columns(qa, a, qb, b)[1]
-        return np.sqrt(np.sum(row @ self.covariance * row, axis=1))
+        return np.linalg.norm(self.distance_errors(qa, a, qb, b)[1], axis=1)
 
 
 def single_points(effects: EffectModel, q: np.ndarray, xyz: np.ndarray) -> Observations:
@@ -205,36 +229,32 @@ def single_points(effects: EffectModel, q: np.ndarray, xyz: np.ndarray) -> Obser
     return replace(effects.poses(q), pose=index, ball=np.zeros(len(q), dtype=int), xyz=np.asarray(xyz, dtype=float))
 
 
-def fill_effect_columns(
-    A: np.ndarray, names: Sequence[str], state: CellState, effects: EffectModel, q: np.ndarray, xyz: np.ndarray
-) -> None:
-    """Write the derivatives of the base position of xyz (P, 3) mm, seen from q (P, n) rad, by the coefficients of effects into A.
-
-    Parameters
-    ----------
-    A : ndarray
-        (P, 3, g), changed in place.
-    names : sequence of str
-        Names of its g columns; effects that are not among them are held.
-    """
-    position = {name: j for j, name in enumerate(names)}
-    here = Covariates(single_points(effects, q, xyz))
+def term_columns(state: CellState, terms: Sequence[Term], q: np.ndarray, xyz: np.ndarray) -> list[np.ndarray]:
+    """Derivatives (P, 3, k) of the base position of xyz (P, 3) mm, seen from q (P, n) rad, by the coefficients of each term."""
     F = state.chain.frames(q)
     T = F[:, -1] @ state.T_flange_scanner
     point = se3.apply(T, xyz)
     joints = state.chain.joint_twists(F)
-    for one in effects.terms:
-        if one.names[0] not in position:
-            continue  # held
-        columns = np.zeros((len(q), 3, one.k))
-        for part in one.parts_at(here, effects.learnt):
+    found = []
+    for one in terms:
+        columns = np.zeros((len(q), 3, one.size))
+        for part in one.parts:
             if part.place in ("joint", "frame"):
                 twist = joints[:, part.index] if part.place == "joint" else se3.adjoint(F[:, part.index])[:, :, part.component]
                 moved = twist[:, :3] + np.cross(twist[:, 3:], point)
                 columns += moved[:, :, None] * part.basis[:, None, :]
             elif part.place == "point":
                 columns -= T[:, :3, part.component, None] * part.basis[:, None, :]
-        A[:, :, [position[name] for name in one.names]] = columns
+        found.append(columns)
+    return found
+
+
+def square_root(C: np.ndarray) -> np.ndarray:
+    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
+    deviation = np.sqrt(np.diag(C))
+    scale = np.where(deviation > 0, deviation, 1.0)
+    size, directions = np.linalg.eigh(C / np.outer(scale, scale))
+    return deviation[:, None] * directions * np.sqrt(np.maximum(size, 0.0))
 
 
 def measuring_terms(state: CellState, noise: Noise, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.cell_estimate import square_root
 from mbcacq.calibration.parts_left_out import differing_terms
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import parameters
@@ -95,7 +96,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
     kept = used[rows]
-    A = A.reshape(len(A) // 3, 3, len(C))[kept] @ _root(C)  # of a hand-eye transform alone C is empty
+    A = A.reshape(len(A) // 3, 3, len(C))[kept] @ square_root(C)  # of a hand-eye transform alone C is empty
     joint = (lineariser.rows.unpad(columns.of_joints)[:, :3] * cell.noise.joint)[kept]
     covariance = A @ np.swapaxes(A, 1, 2) + joint @ np.swapaxes(joint, 1, 2)
     covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
@@ -108,14 +109,6 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
         expected_rms=float(np.sqrt(max(1 - fitted.fit.rank / (3 * used.sum()), 0.0))),
         degrees_of_freedom=_degrees_of_freedom(whiten @ A, whiten @ joint, whiten * cell.noise.point, some.pose[kept]),
     )
-
-
-def _root(C: np.ndarray) -> np.ndarray:
-    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
-    deviation = np.sqrt(np.diag(C))
-    scale = np.where(deviation > 0, deviation, 1.0)
-    size, directions = np.linalg.eigh(C / np.outer(scale, scale))
-    return deviation[:, None] * directions * np.sqrt(np.maximum(size, 0.0))
 
 
 def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:

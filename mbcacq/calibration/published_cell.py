@@ -23,7 +23,7 @@ from mbcacq.estimation.options import copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.estimation.solver import solve
-from mbcacq.estimation.terms import SHARED
+from mbcacq.estimation.terms import LENGTH, LENGTH_NAMES, SHARED
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.joint_resolution import rounding_sentence
@@ -83,9 +83,15 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         cell = warned(cell, f"A length contradicts the poses of the flange: {length}")
     if observations.images is not None:
         at = [i for i, name in enumerate(cell.names) if name.startswith(f"{SHARED}_")]
-        found = next((c for _, c in cell.fit.shared_errors(observations)), np.zeros(0))
+        found = next((c for t, c in cell.fit.instrument_errors(observations) if t.name == SHARED), np.zeros(0))
         said = observations.images.calibrated(found, cell.covariance[np.ix_(at, at)])
         cell = replace(cell, extra={**cell.extra, "images": said})
+    if LENGTH_NAMES[0] in cell.names:
+        at = [cell.names.index(name) for name in LENGTH_NAMES]
+        offset, scale = next(c for t, c in cell.fit.instrument_errors(observations) if t.name == LENGTH)
+        std = np.sqrt(np.diag(cell.covariance)[at])
+        said = {"offset_mm": float(offset), "offset_std_mm": float(std[0]), "scale": float(scale), "scale_std": float(std[1])}
+        cell = replace(cell, extra={**cell.extra, "length_instrument": said})
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
 

@@ -164,6 +164,8 @@ def check_transfer(
     """
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
+    if observations.cell.length_scale:
+        raise ConfigError("a result of distances is tried on poses of its own recording: mbcacq calibrate --held-out random")
     refuse_other_arm("the result is of", cell.robot, cell.nominal, observations.cell.robot, recording or "the recording")
     observations = select_phases(observations, CalibrationOptions(phases=all_phases(observations)))
     left_out: tuple[str, ...] = ()

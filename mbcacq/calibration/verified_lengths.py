@@ -38,16 +38,15 @@ def verified_lengths(cell: CellEstimate, before: CellState, observations: Observ
     if not pairs:
         return Verification(places=(), limit_mm=limit_mm)
     (qa, a, na), (qb, b, nb) = (verification.stacked([p.ends[k] for p in pairs]) for k in (0, 1))
-    u, row = cell.distance_columns(qa, a, qb, b)
+    u, row = cell.distance_errors(qa, a, qb, b)
     ends = [_end_variance(cell, u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
     measuring = sum((seen + moved) / count for seen, moved, count in ends)
-    expected = np.sqrt(np.sum(row @ cell.covariance * row, axis=1) + measuring)
+    expected = np.sqrt(np.sum(row**2, axis=1) + measuring)
     budgets = [
         length_budget(obs, p.station, p.balls, [EndVariance(*(float(value[i]) for value in end)) for end in ends])
         for i, p in enumerate(pairs)
     ]
-    mean = row.mean(axis=0)
-    common = float(np.sqrt(mean @ cell.covariance @ mean)) if len(pairs) > 1 else None
+    common = float(np.linalg.norm(row.mean(axis=0))) if len(pairs) > 1 else None
     found = verification.verification_of(obs, pairs, budgets, limit_mm, expected.tolist())
     return replace(found, common_mm=common)
 

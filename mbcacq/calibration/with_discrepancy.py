@@ -40,7 +40,7 @@ LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
 Kind = Callable[[Covariates], list[EffectTerm]]
-FURTHER: tuple[Kind, ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+FURTHER: tuple[Kind, ...] = (discrepancy.structure, discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
 CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
@@ -66,8 +66,9 @@ def with_discrepancy(alone: Adjustment) -> CalibratedCell | None:
     nothing = _Groups(_some_of(alone), prior, (), (), alone.noise)
     best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
     if best.terms and joint_factor(best.noise, obs.cell) < EXCESS:
-        # In few poses many functions of one angle account for what is one product of two, with sums that are wrong elsewhere.
-        best = _more_probable(best, _grown(nothing, (discrepancy.pairs, discrepancy.own_errors), here, where_noisy=()))
+        # In few poses many functions of one angle account for a product of two, or for a frame, with sums that are wrong elsewhere.
+        for first in (discrepancy.pairs, discrepancy.structure):
+            best = _more_probable(best, _grown(nothing, (first, discrepancy.own_errors), here, where_noisy=()))
     if obs.n_poses <= discrepancy.OPTIONS.wander_poses and serial_correlation(alone, here.order) > CORRELATED:
         # Where the poses follow a grid, posture and order say much the same.
         best = _more_probable(best, _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here))
@@ -107,9 +108,9 @@ def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _
     return other if other.evidence > one.evidence + least else one
 
 
-def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER) -> _Groups:
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER[1:]) -> _Groups:
     """The groups with those of further kinds, one kind after the other, where the evidence asks for them. where_noisy: the kinds that are
-    tried only where the joints' noise is beyond the data sheet."""
+    tried only where the joints' noise is beyond the data sheet: there are many of them."""
     allowed = first_noise(here.obs.cell)
     for kind in kinds:
         if kind in where_noisy and joint_factor(best.noise, here.obs.cell) < EXCESS:
@@ -119,7 +120,7 @@ def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: 
             continue
         further = kind in FURTHER
         least = LEAST_GAIN + (CHANCE_OF_SUPPORTED if further else CHANCE) * (len(tried.terms) - len(best.terms))
-        gain, size = tried.quick_gain(best.noise)
+        gain, size = tried.quick_gain(allowed if kind is discrepancy.structure else best.noise)
         if gain < (LEAST_GAIN if further else least):
             continue
         if further:
@@ -152,14 +153,14 @@ def serial_correlation(adjusted: Adjustment, order: np.ndarray) -> float:
 
 
 def _twists(problem: LinearProblem, groups: Sequence[EffectTerm], here: Covariates) -> list[np.ndarray]:
-    """(P, u, k) of each group, all of which turn one joint; the functions of all groups of a joint are evaluated together."""
+    """(P, u, k) of each group; the functions of all groups that turn one joint are evaluated together."""
     found: dict[str, np.ndarray] = {}
-    for joint in {g.parts[0].index for g in groups}:
-        own = [g for g in groups if g.parts[0].index == joint]
+    for joint in {g.parts[0].index for g in groups if g.parts[0].place == "joint"}:
+        own = [g for g in groups if (g.parts[0].place, g.parts[0].index) == ("joint", joint)]
         part = replace(own[0].parts[0], columns=tuple(column for g in own for column in g.parts[0].columns))
         ends = np.cumsum([g.k for g in own])[:-1]
         found |= zip((g.key for g in own), np.split(problem.twists_of(evaluated(here, [part])), ends, axis=2), strict=True)
-    return [found[g.key] for g in groups]
+    return [found[g.key] if g.key in found else problem.twists_of(evaluated(here, g.parts)) for g in groups]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from mbcacq.calibration.cell_estimate import CellEstimate
-from mbcacq.estimation.identifiability import base_columns, typical_points, workspace_information
+from mbcacq.estimation.identifiability import typical_points, workspace_information
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.model.json_text import AsJson, Matrix, Vector, as_list
@@ -77,9 +77,9 @@ def accuracy_map(cell: CellEstimate, obs: Observations, cell_mm: float = 250.0, 
     rng = np.random.default_rng(seed)
     low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
-    columns, points = base_columns(cell.layout, cell.state, q, typical_points(obs)[:1])
-    columns = without_rigid_motion(columns, points)
-    variance = np.einsum("pig,gh,pih->p", columns, cell.covariance, columns, optimize=True)
+    xyz = np.tile(typical_points(obs)[:1], (postures, 1))
+    points = cell.to_base(q, xyz)
+    variance = np.sum(without_rigid_motion(cell.point_errors(q, xyz), points) ** 2, axis=(1, 2))
     place = np.floor(points / cell_mm).astype(int)
     cells, group, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     sigma = np.sqrt(np.bincount(group.ravel(), variance) / count)
@@ -95,8 +95,8 @@ def expected_accuracy(cell: CellEstimate, obs: Observations, postures: int, seed
     low, high = cell.state.chain.drawn_between(obs.cell.robot.limits)
     drawn = np.random.default_rng(seed).uniform(low, high, size=(postures, obs.cell.robot.n))
     q, xyz = np.repeat(drawn, len(seen), axis=0), np.tile(seen, (postures, 1))
-    A = without_rigid_motion(cell.point_columns(q, xyz), cell.to_base(q, xyz)).reshape(3 * len(q), -1)
-    return float(np.sqrt(max(np.sum((A @ cell.covariance) * A), 0.0) / len(q)))
+    A = without_rigid_motion(cell.point_errors(q, xyz), cell.to_base(q, xyz))
+    return float(np.sqrt(np.sum(A**2) / len(q)))
 
 
 def without_rigid_motion(A: np.ndarray, points: np.ndarray) -> np.ndarray:

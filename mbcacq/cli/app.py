@@ -40,6 +40,7 @@ COMMANDS = {
     "serve": "show runs, reports and a run that goes on in a browser, on this computer only",
     "export": "write results or observations in the formats of other programs",
     "apply": "bring a scan taken at a pose into the base frame",
+    "merge": "put the scans of a part together, and say how well they agree",
     "recover": "make a torn recording readable",
     "fakes": "start the fake cell of a plan in the foreground",
     "controller-files": "write the programs and settings for the robot's controller",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from mbcacq.design.candidate_views import CandidateView, candidates
 from mbcacq.design.optimal_design import design
 from mbcacq.design.options import DesignOptions
-from mbcacq.design.plan_rewriter import view_mapping
+from mbcacq.design.plan_rewriter import seen_from, view_mapping
 from mbcacq.design.station_repair import without_lines
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
@@ -128,10 +127,7 @@ def _beside(path: Path, out: Path) -> str:
     """How the plan names a file: the tool's own ones are copied beside it."""
     if path.resolve().is_relative_to(shipped.folder().resolve()):
         return path.name
-    try:
-        return Path(os.path.relpath(path.resolve(), out.resolve().parent)).as_posix()
-    except ValueError:  # another drive
-        return str(path.resolve())
+    return seen_from(out.parent, path)
 
 
 def _write(out: Path, text: str, names: dict[Path, str]) -> None:

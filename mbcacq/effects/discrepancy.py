@@ -27,6 +27,8 @@ class DiscrepancyOptions:
     orders: int = 4  # periods a turn of a joint's own error: eccentric wheels, bent shafts
     fastest: int = 32  # of its gears' stages, which are tried where these do not do: faster meshes are for names, not for smooth functions
     start_rad: float = 1e-3  # five times a bad gear's error, ten times the wind-up of an elastic joint at its largest torque
+    start_mm: float = 0.3  # the play of a mount that was not tightened
+    least_moment: float = 0.5  # N m, below which nothing gives way
     direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
     taken_up_rad: float = np.radians(0.5)  # a movement after which lost motion is as after any longer one
     softening: float = 0.3  # share of a wind-up that is not proportional to the torque
@@ -92,6 +94,25 @@ def pairs(here: Covariates) -> list[EffectTerm]:
         columns = tuple(times(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
         out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
+    return out
+
+
+def structure(here: Covariates) -> list[EffectTerm]:
+    """Groups of the base and of each link, which turn by the moment of the weight behind them across the axis of the joint that follows;
+    and of the mount by gravity in its axes: it gives way, or has clearances that gravity closes."""
+    n, out = here.n, list[EffectTerm]()
+    for i in range(n):
+        turned = [
+            (3 + c, linear(name, 1 / largest))
+            for c, name in enumerate(f"gravity_moment_{i}_{axis}" for axis in "xy")
+            if (largest := float(np.abs(here.value(name)).max())) > OPTIONS.least_moment
+        ]
+        if turned:
+            out.append(_frame(here, "base" if i == 0 else f"link{i}", i, f"gravity_moment_{i}", turned))
+    along = [f"gravity_direction_{n}_{axis}" for axis in "xyz"]
+    sides: list[tuple[str, list[Column]]] = [("gravity_direction", [linear(name) for name in along])]
+    sides += [(name, [(Product(1.0, (Function(name, "sign", ()),)),)]) for name in along if np.ptp(np.sign(here.value(name))) > 0]
+    out += [_frame(here, "mount", n, on, [(c, f) for c in range(6) for f in functions]) for on, functions in sides]
     return out
 
 
@@ -165,6 +186,15 @@ def _centred(here: Covariates, name: str) -> Column:
 def _first(name: str) -> Iterator[Column]:
     yield sine(name, 1)
     yield cosine(name, 1)
+
+
+def _frame(here: Covariates, location: str, frame: int, depends_on: str, moved: Sequence[tuple[int, Column]]) -> EffectTerm:
+    """One frame by functions, each of which moves one of its components."""
+    zero: tuple[Column, ...] = ((),) * len(moved)
+    parts = [DescribedPart("frame", frame, c, (*zero[:k], column, *zero[k + 1 :])) for k, (c, column) in enumerate(moved)]
+    sigma = np.array([OPTIONS.start_rad if c >= 3 else OPTIONS.start_mm for c, _ in moved])
+    units = tuple("rad" if c >= 3 else "mm" for c, _ in moved)
+    return EffectTerm.of_group(here, (location,), depends_on, parts, sigma, units, variant=SMOOTH)
 
 
 def _term(

@@ -94,10 +94,16 @@ class EffectModel:
         if self.learnt.is_of(obs):
             return ()
         here, own = Covariates(obs), LearntRecording.of(obs)
-        beyond = tuple(one for t in self.terms if (one := t.beyond_learnt(here, self.learnt)) is not None)
+        beyond = tuple(t.beyond_learnt(here, self.learnt) for t in self.terms if t.ends and not t.inside(here).all())
         bound = [t for t in self.terms if t.bound_to_recording and np.all(np.isfinite(t.sigma)) and not t.missing(here)]
         # Stations are fitted, or known.
         return (*(replace(t, sigma=t.sigma_elsewhere).term(here, own) for t in bound if "station" not in t.covariates), *beyond)
+
+    def beyond(self, obs: Observations) -> tuple[Term, ...]:
+        """What effects may be at the poses of a recording beyond where they were learnt, as random effects beside ``at``; the same terms
+        for any recording."""
+        here = Covariates(obs)
+        return tuple(t.beyond_learnt(here, self.learnt) for t in self.terms if t.ends)
 
     def displacements(self, obs: Observations) -> Displacements | None:
         """What the effects displace at the poses and centres of a recording; None where there are none."""

@@ -212,12 +212,15 @@ class EffectTerm(EveryKey):
         """The term of the estimation at the poses and centres of a recording."""
         return term(self.key, self.parts_at(here, learnt), self.names, self.units, self.sigma)
 
-    def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term | None:
-        """What the effect may be beyond the range in which it was learnt, beside what is predicted there: as its functions go on, with the
-        size that it was found with, and of a law a share of that. None where no pose is beyond.
+    @property
+    def ends(self) -> bool:
+        """Whether it has a range in which it was learnt, and a size by which it is uncertain beyond."""
+        return bool(self.fades or self.clamped or self.laws) and bool(np.all(np.isfinite(self.sigma)))
+
+    def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term:
+        """What an effect that ``ends`` may be beyond the range in which it was learnt, beside what is predicted there: as its functions go
+        on, with the size that it was found with, and of a law a share of that.
         """
-        if not (self.fades or self.clamped or self.laws) or not np.all(np.isfinite(self.sigma)) or self.inside(here).all():
-            return None
         held, parts = self._going_on(here, learnt, (*self.clamped, *self.laws)), list[Part]()
         free = self._going_on(here, learnt, ()) if self.clamped or self.laws else held
         for at_end, on, own in zip(held, free, self.parts, strict=True):

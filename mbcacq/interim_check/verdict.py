@@ -191,14 +191,13 @@ def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray) -> tup
 
 
 def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:
-    """(R, R) covariance of the prediction: the calibrated parameters, and what a good arm is off beyond its model at each pose."""
+    """(R, R) covariance of the prediction: the calibrated cell, and what a good arm is off beyond its model at each pose."""
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
-    A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
-    A = rows_of(A)[evidence.keep]
+    A = rows_of(np.swapaxes(T, 1, 2) @ cell.point_errors(obs.q[obs.pose], prediction.xyz))[evidence.keep]
     J = rows_of(joint_columns(check.state, prediction) * OPTIONS.discrepancy)[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
-    return A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
+    return A @ A.T + (J @ J.T) * (pose[:, None] == pose)
 
 
 def _log_factor(S: np.ndarray, b: np.ndarray, size: float) -> float:

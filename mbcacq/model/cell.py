@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from mbcacq.files.mesh_file import Mesh
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 
@@ -106,6 +107,13 @@ class Artefact:
     expansion_ppm_per_K: float | None = None
     certified: bool = True
     known_length: KnownLength | None = None
+    box: np.ndarray | None = None  # (2, 3) mm, of a part: lowest and highest corner in its frame
+    mesh: Mesh | None = None  # of a part, in a loaded plan
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it is a part, whose surface is scanned: it has no balls, and calibrates nothing by itself."""
+        return not self.ball_ids
 
 
 @dataclass(frozen=True)
@@ -133,6 +141,8 @@ class Cell:
     noise_rad: sigma of a measured orientation about each axis, or None.
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
     room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
+    length_scale: of an instrument that measures the target's distance alone (draw wire, ballbar, interferometer), the relative standard
+    uncertainty of its scale; None for any other. Distances stand in the first coordinate.
     joint_step: rad, to which the joint angles that were recorded in it are rounded; 0 where they are not.
     """
 
@@ -147,6 +157,7 @@ class Cell:
     noise_rad: float | None = None
     room_temperature_C: tuple[float, float] | None = None
     joint_step: float = 0.0
+    length_scale: float | None = None
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)

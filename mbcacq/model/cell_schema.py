@@ -165,20 +165,26 @@ class KnownLengthSpec(Strict):
 
 class ArtefactSpec(Strict):
     """certified: false says that the places of the balls are unknown: they are estimated, to the scale of ``known_length`` or, without it,
-    of the scanner."""
+    of the scanner. A part has no balls, but a mesh of its surface (STL, mm) or the box that holds it."""
 
     id: str
     name: str = ""
     reference_temperature_C: RoomTemperature = 20.0
     expansion_ppm_per_K: Expansion | None = None
     uncertainty_mm: Uncertainty = 0.001
-    balls: tuple[BallSpec, ...] = Field(min_length=1)
+    balls: tuple[BallSpec, ...] = ()
+    mesh: str | None = None  # relative to this file
+    box_mm: tuple[Place, Place] | None = None  # lowest and highest corner
     certificate: str | None = None
     certified: bool = True
     known_length: KnownLengthSpec | None = None
 
     @model_validator(mode="after")
     def _has_centres(self) -> ArtefactSpec:
+        if bool(self.balls) == bool(self.mesh or self.box_mm):
+            raise ValueError("an artefact has balls; a part has a mesh or a box_mm instead of them; give one of both")
+        if self.box_mm and not all(low < high for low, high in zip(*self.box_mm, strict=True)):
+            raise ValueError("box_mm: each number of the first corner must be below that of the second; exchange those that are not")
         missing = [b.id for b in self.balls if b.centre_mm is None]
         if self.certified and missing:
             raise ValueError(f"ball {missing[0]} has no centre_mm; give it, or say certified: false")
@@ -193,13 +199,14 @@ class ArtefactSpec(Strict):
             id=self.id,
             name=self.name,
             ball_ids=tuple(b.id for b in self.balls),
-            centres=np.array([b.centre_mm or (np.nan,) * 3 for b in self.balls], dtype=float),
-            diameters=np.array([b.diameter_mm for b in self.balls]),
+            centres=np.array([b.centre_mm or (np.nan,) * 3 for b in self.balls], dtype=float).reshape(-1, 3),
+            diameters=np.array([b.diameter_mm for b in self.balls], dtype=float),
             uncertainty_mm=self.uncertainty_mm,
             reference_temperature_C=self.reference_temperature_C,
             expansion_ppm_per_K=self.expansion_ppm_per_K,
             certified=self.certified,
             known_length=cell.KnownLength(*vars(self.known_length).values()) if self.known_length else None,
+            box=np.array(self.box_mm, dtype=float) if self.box_mm else None,
         )
 
 
@@ -210,10 +217,12 @@ class StationSpec(Strict):
 
 
 class ScannerSpec(Strict):
-    """noise_mm: of one centre along x, y, z; zeros say as little as none."""
+    """noise_mm: of one centre along x, y, z; zeros say as little as none. length_scale: of an instrument that measures distances alone, the
+    relative standard uncertainty of its scale."""
 
     name: str = ""
     noise_mm: tuple[Noise, Noise, Noise] | None = None
+    length_scale: Annotated[float, Field(gt=0, le=0.1)] | None = None
     noise_deg: AngleNoise | None = None
 
 
@@ -272,6 +281,7 @@ class CellSpec(Strict):
             scanner_name=self.scanner.name,
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=MEASUREMENTS[self.measurement],
+            length_scale=self.scanner.length_scale,
             noise_rad=np.radians(self.scanner.noise_deg) if self.scanner.noise_deg else None,
             simulated=self.simulated,
             room_temperature_C=self.room_temperature_C,

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Artefact
+from mbcacq.plan.limits import PlanningLimits
 from mbcacq.plan.planned import LoadedPlan
 
 
@@ -108,9 +110,10 @@ def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
     """The artefact at a station, and the tripod below it."""
     planning, T_base_station = loaded.planning, loaded.cell.station(station).planned_pose
     artefact = loaded.cell.artefact(loaded.cell.station(station).artefact)
-    room = artefact.diameters[:, None] / 2 + np.array([planning.artefact_side_mm, planning.artefact_side_mm, 0.0])
-    low, high = (artefact.centres - room).min(axis=0), (artefact.centres + room).max(axis=0)
-    low[2] -= planning.plate_mm
+    if artefact.box is not None:
+        low, high = artefact.box.copy()
+    else:
+        low, high = _room_of_balls(artefact, planning)
     bodies = [_box(f"artefact {artefact.id}", 0, T_base_station, low, high)]
     radius = loaded.plan.tripod_radius_mm
     down = loaded.cell.robot.gravity
@@ -121,6 +124,14 @@ def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
     if radius > 0 and length > planning.shortest_body_mm:
         bodies.append(_capsule("tripod", 0, np.eye(4), top, top + length * down, radius))
     return bodies
+
+
+def _room_of_balls(artefact: Artefact, planning: PlanningLimits) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) mm of the box that an artefact fills in its frame, with the plate below its balls."""
+    room = artefact.diameters[:, None] / 2 + np.array([planning.artefact_side_mm, planning.artefact_side_mm, 0.0])
+    low, high = (artefact.centres - room).min(axis=0), (artefact.centres + room).max(axis=0)
+    low[2] -= planning.plate_mm
+    return low, high
 
 
 def reach(loaded: LoadedPlan) -> float:

@@ -18,7 +18,7 @@ from mbcacq.plan.ik_selection import select_solutions
 from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths, router_of
-from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
+from mbcacq.plan.schema import AnyStep, Look, ScanPart, Taught, Translate, View
 
 SAME_POSTURE = 1e-6  # rad, full turns aside
 
@@ -151,6 +151,14 @@ def _of_step(loaded: LoadedPlan, index: int, step: AnyStep) -> Iterator[Target]:
             for centre in aim_points(_artefact(loaded, station), step.balls):
                 for i, view in enumerate(step.views):
                     yield _looking(loaded, station, centre, view, ("steps", index, "views", i))
+    elif isinstance(step, ScanPart):
+        for station in map(str, step.stations):
+            box = _artefact(loaded, station).box
+            assert box is not None, "the loader takes parts only"
+            top = np.append(box[:, :2].mean(axis=0), box[1, 2])
+            for i, view in enumerate(step.views):
+                point = top if view.at_mm is None else np.array(view.at_mm)
+                yield _looking(loaded, station, point, view, ("steps", index, "views", i))
     else:
         yield from _taught(loaded, index, step)
 

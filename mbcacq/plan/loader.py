@@ -15,9 +15,10 @@ from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
-from mbcacq.plan.schema import Look, Plan, Taught
+from mbcacq.plan.schema import Look, Plan, ScanPart, Taught
 
 PLAN_FORMAT = "mbcacq-plan/1"
+SMALLEST_PART_MM = 5.0
 ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits
 
 
@@ -122,8 +123,22 @@ def _artefacts(file: YamlFile, plan: Plan) -> tuple[cell.Artefact, ...]:
             owner[ball.id] = spec.id
         if (found := implausible_artefact(spec)) is not None:
             raise source.error(*found)
-        models.append(spec.model())
+        models.append(_with_surface(source, spec))
     return tuple(models)
+
+
+def _with_surface(source: YamlFile, spec: ArtefactSpec) -> cell.Artefact:
+    """The artefact; a part with its mesh, and the box that holds this."""
+    model = spec.model()
+    if spec.mesh is None:
+        return model
+    from mbcacq.files.mesh_file import read_mesh
+
+    mesh = read_mesh(source.path.parent / spec.mesh)
+    box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+    if np.ptp(box, axis=0).max() < SMALLEST_PART_MM:
+        raise source.error(("mesh",), f"{spec.mesh} spans {np.ptp(box, axis=0).max():.3g}, which looks like metres; export it in mm")
+    return replace(model, mesh=mesh, box=box)
 
 
 def _check_frames(file: YamlFile, plan: Plan) -> None:
@@ -184,11 +199,20 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
         if step.name in names:
             raise file.error((*where, "name"), f"step '{step.name}' exists already; give each step a name of its own")
         names.add(step.name)
-        wanted = {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look) else {("station",): step.station}
+        wanted = (
+            {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look | ScanPart) else {("station",): step.station}
+        )
         for place, station in wanted.items():
             if str(station) not in artefact_of:
                 sentence = f"step '{step.name}' names a station '{station}' that the plan does not have (it has {', '.join(artefact_of)})"
                 raise file.error((*where, *place), f"{sentence}; name one of these, or add the station")
+            if artefact_of[str(station)].is_part != isinstance(step, ScanPart):
+                what = (
+                    "is a part, which only 'do: scan' takes"
+                    if artefact_of[str(station)].is_part
+                    else "has balls, and 'do: scan' takes parts"
+                )
+                raise file.error((*where, *place), f"step '{step.name}': what stands at station '{station}' {what}; name another station")
         if isinstance(step, Look) and isinstance(step.balls, tuple):
             for station in step.stations:
                 _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)

@@ -17,6 +17,8 @@ def check_visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterat
     plan, cell = loaded.plan, loaded.cell
     for pose in poses:
         artefact = cell.artefact(pose.artefact)
+        if artefact.is_part:
+            continue
         T_base_scanner = cell.robot.chain.flange(pose.q[None])[0] @ cell.T_flange_scanner
         T_scanner_station = se3.inverse(T_base_scanner) @ cell.station(pose.station).planned_pose
         xyz = se3.apply(T_scanner_station, artefact.centres)

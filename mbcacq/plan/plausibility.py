@@ -79,7 +79,7 @@ def lacks_orientation(loaded: LoadedPlan) -> Implausible | None:
     artefact_of = {s.id: loaded.cell.artefact(s.artefact) for s in loaded.cell.stations}
     first: Implausible | None = None
     for index, step in enumerate(loaded.plan.steps):
-        if step.phase == "verification":
+        if step.phase in ("verification", "part"):
             continue
         for station in map(str, getattr(step, "stations", None) or (getattr(step, "station", ""),)):
             artefact = artefact_of[station]

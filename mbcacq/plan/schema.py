@@ -131,11 +131,14 @@ class View(Strict):
 
 class Step(Strict):
     name: str
-    phase: Literal["translation", "orientation", "position", "length", "verification"]
     exposures: Whole | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
 
 
-class Translate(Step):
+class BallStep(Step):
+    phase: Literal["translation", "orientation", "position", "length", "verification"]
+
+
+class Translate(BallStep):
     """Keep the orientation of one view, move along the base axes."""
 
     do: Literal["translate"]
@@ -144,7 +147,7 @@ class Translate(Step):
     offsets_mm: tuple[Place, ...] = Field(min_length=1)
 
 
-class Look(Step):
+class Look(BallStep):
     """Look at every station from every view; with ``balls: each``, or certain ids, at each of these balls by itself (an artefact
     longer than the view)."""
 
@@ -154,7 +157,7 @@ class Look(Step):
     balls: Literal["all", "each"] | tuple[Whole, ...] = "all"
 
 
-class Taught(Step):
+class Taught(BallStep):
     """Joint positions as taught."""
 
     do: Literal["joints"]
@@ -163,7 +166,20 @@ class Taught(Step):
     balls: tuple[Whole, ...] | None = None  # expected ids; default: all in view
 
 
-AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
+class PartView(View):
+    at_mm: Place | None = None  # point of the part to look at, in its frame; default: the middle of its upper side
+
+
+class ScanPart(Step):
+    """Scan the surface of a part at its stations: every view is one cloud, for `mbcacq merge`."""
+
+    do: Literal["scan"]
+    phase: Literal["part"] = "part"
+    stations: tuple[str | int, ...] = Field(min_length=1)
+    views: tuple[PartView, ...] = Field(min_length=1)
+
+
+AnyStep = Annotated[Translate | Look | Taught | ScanPart, Field(discriminator="do")]
 
 
 class Obstacle(Strict):

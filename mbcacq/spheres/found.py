@@ -88,5 +88,12 @@ class FoundSpheres:
     radius_error_mm: np.ndarray
     refused: list[tuple[str, np.ndarray | None]] = field(default_factory=list)
 
+    @classmethod
+    def nothing(cls) -> FoundSpheres:
+        """No ball, as in a scan of a part."""
+        none = np.zeros(0)
+        places = {"xyz": np.zeros((0, 3)), "covariance": np.zeros((0, 3, 3))}
+        return cls(ball=np.zeros(0, int), n_points=np.zeros(0, int), rms_mm=none, radius_error_mm=none, **places)
+
     def __len__(self) -> int:
         return len(self.ball)

@@ -36,10 +36,15 @@ def centres_from_ply(
 def ply_content(columns: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> bytes:
     """Binary PLY of vertices: columns (N,) by name, each of one of ``TYPES``, lengths in mm. Open3D's writer drops what is no float."""
     count = len(next(iter(columns.values())))
+    header = ply_header({name: values.dtype for name, values in columns.items()}, count, comments)
     rows = np.empty(count, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     for name, values in columns.items():
         rows[name] = values
+    return header + rows.tobytes()
+
+
+def ply_header(columns: Mapping[str, np.dtype], count: int, comments: Sequence[str] = ()) -> bytes:
+    """Header of ``count`` vertices in mm, little-endian."""
     said = "".join(f"comment {line}\n" for line in ("unit mm", *comments))
-    announced = "".join(f"property {TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
-    header = f"ply\nformat binary_little_endian 1.0\n{said}element vertex {count}\n{announced}end_header\n"
-    return header.encode("ascii", "replace") + rows.tobytes()
+    announced = "".join(f"property {TYPES[kind.str[1:]]} {name}\n" for name, kind in columns.items())
+    return f"ply\nformat binary_little_endian 1.0\n{said}element vertex {count}\n{announced}end_header\n".encode("ascii", "replace")

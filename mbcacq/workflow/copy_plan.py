@@ -7,7 +7,8 @@ from pathlib import Path
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import finish_set, write_files
 from mbcacq.model import shipped
-from mbcacq.plan import load
+from mbcacq.model.yaml_source import parse
+from mbcacq.plan import LoadedPlan, load
 
 
 def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> list[Path]:
@@ -32,8 +33,9 @@ def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> li
     own = shipped.folder() / f"{Path(name).stem}.yaml"
     if Path(name).stem not in shipped.plans():
         raise ConfigError(f"there is no plan '{name}' among those of the tool ({', '.join(shipped.plans())}); name one of these")
-    plan = load(own).plan
-    named = [own.name, plan.robot.model, *plan.artefacts, *([plan.robot.urdf] if plan.robot.urdf else [])]
+    loaded = load(own)
+    plan = loaded.plan
+    named = [own.name, plan.robot.model, *plan.artefacts, *_meshes(loaded), *([plan.robot.urdf] if plan.robot.urdf else [])]
     folder = Path(folder)
     finish_set(folder)
     content = {one: (own.parent / one).read_bytes() for one in named}
@@ -42,3 +44,9 @@ def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> li
         raise ConfigError(f"{there} exists and differs from the tool's; give another folder, or --force to replace it")
     write_files(folder, changed)
     return [folder / one for one in content]
+
+
+def _meshes(loaded: LoadedPlan) -> list[str]:
+    """The meshes that its parts name, relative to the plan."""
+    meshes = [(name, parse(text, Path(name)).data.get("mesh")) for name, text in loaded.files.items()]
+    return [str(Path(name).parent / mesh) for name, mesh in meshes if mesh]

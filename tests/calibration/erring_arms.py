@@ -42,6 +42,23 @@ def at(n: int, **of: np.ndarray) -> np.ndarray:
     return out
 
 
+def moment(chain: Chain, q: np.ndarray, frame: int, aside: float = 0.0) -> np.ndarray:
+    """(P, 3) N m of the weight behind a frame about its origin, in its axes. aside: mm by which the tool's weight is off the last axis."""
+    F = chain.frames(q)
+    middle = 0.5 * (F[:, frame:-1, :3, 3] + F[:, frame + 1 :, :3, 3]) - F[:, frame, None, :3, 3]
+    tip = F[:, -1, :3, 3] + 100 * F[:, -1, :3, 2] + aside * F[:, -1, :3, 0] - F[:, frame, :3, 3]
+    first = np.einsum("pij,i->pj", middle, MASS[frame:]) + 8 * tip
+    return np.einsum("pji,pj->pi", F[:, frame, :3, :3], np.cross(first, [0.0, 0.0, -9.80665e-3]))
+
+
+def frame_at(q: np.ndarray, frame: int, component: int, by: np.ndarray) -> np.ndarray:
+    """(P, n + 1, 6) of which one frame is turned or shifted."""
+    out = np.zeros((*q.shape[:1], q.shape[1] + 1, 6))
+    out[:, frame, component] = by
+    return out
+
+
+# (P, n) rad by which the joints err, or (P, n + 1, 6) mm and rad by which the frames behind the links do.
 Law = Callable[[Chain, np.ndarray, np.ndarray], np.ndarray]
 LAWS: dict[str, Law] = {
     "nothing further": lambda c, q, d: np.zeros_like(q),
@@ -53,6 +70,11 @@ LAWS: dict[str, Law] = {
     "motion that goes with another axis": lambda c, q, d: at(6, a5=2e-4 * q[:, 3], a6=3e-4 * q[:, 4]),
     "a product of two angles": lambda c, q, d: at(6, a3=1.5e-4 * np.sin(q[:, 1]) * np.cos(q[:, 4])),
     "gear errors of orders 17 and 22": lambda c, q, d: at(6, a2=8e-5 * np.sin(17 * q[:, 1]), a3=8e-5 * np.sin(22 * q[:, 2] + 1)),
+    "eccentric encoders of A3, A5": lambda c, q, d: at(6, a3=2e-4 * np.sin(q[:, 2] + 1), a5=2e-4 * np.sin(q[:, 4] + 2)),
+    "a torque that stiffens A2": lambda c, q, d: at(6, a2=2e-4 * np.tanh(torque(c, q)[:, 1] / 150)),
+    "a link that twists by a tool with its weight aside": lambda c, q, d: frame_at(q, 2, 3, 2e-5 * moment(c, q, 2, 150.0)[:, 0]),
+    "a base that tilts": lambda c, q, d: frame_at(q, 0, 4, 4e-7 * moment(c, q, 0)[:, 1]),
+    "a mount with clearance": lambda c, q, d: frame_at(q, 6, 0, 0.08 * np.sign(c.frames(q)[:, -1, 2, 0])),
     "gear errors of orders 57 and 101": lambda c, q, d: at(6, a2=1e-4 * np.sin(57 * q[:, 1]), a3=1e-4 * np.sin(101 * q[:, 2])),
 }
 
@@ -63,14 +85,16 @@ def erring_arm(law: Law, seed: int, places: int = 8, further: int = 6) -> tuple[
     cell = scanner_cell(rng, stations=places + further, per_station=12, errors=random_errors(kr10(), rng))
     obs, direction = cell.observations, np.sign(rng.normal(size=cell.observations.q.shape))
     middle = 0.5 * np.linalg.inv(obs.cell.robot.chain.link_transforms(np.zeros((1, 6)))[0])[:, :3, 3]
-    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=np.array([0, 0, 100.0]))
+    tool = np.array([150.0 if "aside" in law_name(law) else 0.0, 0, 100])
+    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=tool)
     obs = replace(obs, cell=replace(obs.cell, robot=robot), direction=direction if "directions" in law_name(law) else None)
     off = law(cell.truth.chain, obs.q, direction)
-    exact = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=off)).xyz
-    noisy = forward_model.Displacements(joint=off + rng.normal(size=off.shape) * JOINT)
+    joint, frame = (off, None) if off.ndim == 2 else (np.zeros_like(obs.q), off)
+    exact = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=joint, frame=frame)).xyz
+    noisy = forward_model.Displacements(joint=joint + rng.normal(size=joint.shape) * JOINT, frame=frame)
     xyz = forward_model.predict(obs, cell.truth, noisy).xyz + rng.normal(size=exact.shape) * NOISE
     new = obs.station >= places
-    T = cell.truth.chain.frames(obs.q + off)[:, -1] @ cell.truth.T_flange_scanner
+    T = cell.truth.chain.frames(obs.q + joint, frame)[:, -1] @ cell.truth.T_flange_scanner
     return replace(obs, xyz=xyz).select(~new), replace(obs, xyz=exact).select(new), se3.apply(T[obs.pose], exact)[new[obs.pose]]
 
 

@@ -21,6 +21,7 @@ ALLOWED = {
     "fleet/store.py": "the temporary path that the atomic writer gave, and publishes",
     "recording/rrd/scan_export.py": "temporary paths that the atomic writer gave, and publishes",
     "recording/rrd/sink.py": "the recording of a run, which grows; a disk that takes nothing is refused before",
+    "parts/merge.py": "blocks in a temporary folder, and the temporary path that the atomic writer gave",
     "recording/rrd/quiet_environment.py": "settings in a temporary folder of the process",
 }
 

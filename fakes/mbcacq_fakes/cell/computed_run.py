@@ -101,7 +101,7 @@ def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> t
         if not len(here):
             continue
         centres = world.balls_in_scanner(_select(at, here), _select_moved(moved, here), a)
-        in_view = np.array([[not wanted[p] or b in wanted[p] for b in artefact.balls] for p in here])
+        in_view = np.array([[not wanted[p] or b in wanted[p] for b in artefact.balls] for p in here], dtype=bool)
         p, b = np.nonzero(in_view)
         pose.append(here[p])
         ball.append(world.first_ball[a] + b)

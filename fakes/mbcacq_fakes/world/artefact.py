@@ -28,13 +28,14 @@ class TrueArtefact:
     balls: tuple[int, ...]
     centres: np.ndarray
     radii: np.ndarray
-    carrier: Carrier
+    carrier: Carrier | None
+    triangles: np.ndarray | None = None
 
 
 def make(facts: ArtefactFacts, rng: np.random.Generator) -> TrueArtefact:
     """True centres are the certified ones plus a draw of their uncertainty."""
     centres = facts.centres + facts.uncertainty_mm * rng.standard_normal(facts.centres.shape)
-    return TrueArtefact(facts.id, facts.balls, centres, facts.diameters / 2, carrier(facts))
+    return TrueArtefact(facts.id, facts.balls, centres, facts.diameters / 2, carrier(facts) if facts.balls else None, facts.triangles)
 
 
 def carrier(facts: ArtefactFacts, clearance: float = 12.0) -> Carrier:

@@ -21,6 +21,7 @@ class ArtefactFacts:
     uncertainty_mm: float
     reference_temperature_C: float = 20.0
     expansion_ppm_per_K: float = 1.5
+    triangles: np.ndarray | None = None  # (T, 3, 3) mm, of a part: the corners of its surface
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
                 float(a.uncertainty_mm),
                 float(a.reference_temperature_C),
                 1.5 if a.expansion_ppm_per_K is None else float(a.expansion_ppm_per_K),
+                triangles=_surface(a),
             )
             for a in cell.artefacts
         ),
@@ -107,3 +109,16 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
             np.array(field_of_view.far_half_mm, dtype=float),
         ),
     )
+
+
+def _surface(artefact: Any) -> np.ndarray | None:
+    """Corners (T, 3, 3) mm of the triangles of a part: of its mesh, or of the box that stands for it."""
+    if artefact.mesh is not None:
+        return np.array(artefact.mesh.vertices, dtype=float)[np.array(artefact.mesh.triangles)]
+    if artefact.box is None:
+        return None
+    corner = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, 8).T
+    low, high = np.array(artefact.box, dtype=float)
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # outwards
+    triangles = [half for a, b, c, d in faces for half in ((a, b, c), (a, c, d))]
+    return (low + corner * (high - low))[np.array(triangles)]

@@ -69,7 +69,7 @@ class FringeScanner:
             size = self.grid.rows * self.grid.columns
             hits = hits.merged_with(surfaces.backdrop(rng.integers(0, size, int(optics.backdrop * size))))
         steepest = np.cos(np.radians(optics.grazing_deg))
-        albedo = np.where(hits.ball >= 0, optics.ball, np.where(hits.rod, 0.3, optics.plate))
+        albedo = np.where((hits.ball >= 0) | hits.part, optics.ball, np.where(hits.rod, 0.3, optics.plate))
         signal = exposure * albedo * np.clip(hits.lit, 0, None)
         slant = np.minimum(hits.facing, hits.lit)
         # Fringe contrast fades towards grazing light; below a few grey levels the phase is lost.

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbcacq_fakes.world import rays
 from mbcacq_fakes.world.artefact import Carrier
+from mbcacq_fakes.world.mesh import first_hits, shaded
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.rigid import carry
 
@@ -25,10 +26,11 @@ class Scene:
     radii: np.ndarray
     carrier: Carrier | None = None
     T_scanner_artefact: np.ndarray | None = None
+    triangles: np.ndarray | None = None  # (T, 3, 3) mm in the artefact's frame: the surface of a part, which has neither balls nor carrier
 
     def equals(self, other: Scene) -> bool:
         """Nothing differs, to the last bit."""
-        if self.carrier is not other.carrier or len(self.centres) != len(other.centres):
+        if self.carrier is not other.carrier or self.triangles is not other.triangles or len(self.centres) != len(other.centres):
             return False
         same = np.array_equal(self.centres, other.centres) and np.array_equal(self.radii, other.radii)
         if self.T_scanner_artefact is None or other.T_scanner_artefact is None:
@@ -39,13 +41,15 @@ class Scene:
 @dataclass(frozen=True)
 class Hits:
     """Where rays meet a surface. pixel (N,) flat index; xyz, along (3, N): place in mm and direction per unit of z; ball (N,) index or
-    NO_BALL; rod (N,) bool. facing, lit (N,): cosines of the incidence seen from the camera and from the lamp; dark (N,): in shadow."""
+    NO_BALL; rod, part (N,): on one. facing, lit (N,): cosines of the incidence seen from the camera and from the lamp; dark (N,): in
+    shadow."""
 
     pixel: np.ndarray
     xyz: np.ndarray
     along: np.ndarray
     ball: np.ndarray
     rod: np.ndarray
+    part: np.ndarray
     facing: np.ndarray
     lit: np.ndarray
     dark: np.ndarray
@@ -79,6 +83,9 @@ class Surfaces:
     def __init__(self, grid: Grid, scene: Scene, lamp: np.ndarray) -> None:
         self.scene = scene
         self._grid, self._lamp = grid, lamp
+        if scene.triangles is not None:
+            self.solid, self.rims = self._of_part(scene.triangles), []
+            return
         depth, label = self._nearest()
         self.free = label.ravel() == _NOTHING
         self.solid = self._hits(np.flatnonzero(~self.free), depth, label)
@@ -93,6 +100,28 @@ class Surfaces:
         z = self._on_plate(pixel)
         met = np.isfinite(z)
         return self._described(pixel[met], z[met], np.full(int(met.sum()), NO_BALL))
+
+    def _of_part(self, triangles: np.ndarray) -> Hits:
+        """Hits on the surface of a part."""
+        T, grid = self.scene.T_scanner_artefact, self._grid
+        assert T is not None, "a part comes with its pose"
+        pixel = np.arange(grid.rows * grid.columns)
+        foot, along = grid.rays(pixel)
+        z, normal, surface = first_hits(triangles, T, foot, along, grid.view.near_z + _BEYOND_MM)
+        met = np.flatnonzero(z > grid.view.far_z - _BEYOND_MM)
+        xyz, along, normal = foot[:, met] + z[met] * along[:, met], along[:, met], normal[:, met]
+        to_lamp = self._lamp[:, None] - xyz
+        return Hits(
+            pixel=pixel[met],
+            xyz=xyz,
+            along=along,
+            ball=np.full(len(met), NO_BALL),
+            rod=np.zeros(len(met), bool),
+            part=np.ones(len(met), bool),
+            facing=np.einsum("cn,cn->n", normal, along) / np.linalg.norm(along, axis=0),
+            lit=np.einsum("cn,cn->n", normal, to_lamp) / np.linalg.norm(to_lamp, axis=0),
+            dark=shaded(surface, T, xyz, to_lamp),
+        )
 
     def _nearest(self) -> tuple[np.ndarray, np.ndarray]:
         """z and label (rows, columns) of the first surface along each ray; the plate only where something else was met, too."""
@@ -135,7 +164,9 @@ class Surfaces:
         lit = np.einsum("cn,cn->n", normal, to_lamp) / np.sqrt(np.einsum("cn,cn->n", to_lamp, to_lamp))
         facing = np.einsum("cn,cn->n", normal, along) / np.sqrt(np.einsum("cn,cn->n", along, along))
         dark = rays.in_shadow(xyz, self._lamp, self.scene.centres, self.scene.radii, ball)
-        return Hits(pixel=pixel, xyz=xyz, along=along, ball=ball, rod=rod, facing=facing, lit=lit, dark=dark)
+        return Hits(
+            pixel=pixel, xyz=xyz, along=along, ball=ball, rod=rod, part=np.zeros(len(ball), bool), facing=facing, lit=lit, dark=dark
+        )
 
     def _normals(self, xyz: np.ndarray, ball: np.ndarray, rod: np.ndarray) -> np.ndarray:
         """Outward unit normals (3, N)."""

@@ -140,8 +140,10 @@ class World:
         if bump is not None:
             T = T @ displacement(bump[:3], bump[3:])
         shift = moved.ball[0, self.first_ball[index] : self.first_ball[index + 1]]
-        open_ = np.array([b not in covered for b in artefact.balls])
+        open_ = np.array([b not in covered for b in artefact.balls], dtype=bool)
         centres, radii = carry(T, artefact.centres + shift)[open_], artefact.radii[open_]
+        if artefact.triangles is not None:
+            return Scene(centres, radii, T_scanner_artefact=T, triangles=artefact.triangles)
         return Scene(centres, radii, artefact.carrier, T) if furniture else Scene(centres, radii)
 
     def truth(self) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -16,6 +15,7 @@ from mbcacq.design.adaptive.places import accepted_places
 from mbcacq.design.adaptive.pool import not_measured, reachable_views, routed, shortest_order
 from mbcacq.design.adaptive.questions import differ_by_direction, differ_in_time
 from mbcacq.design.adaptive.visit_choice import OpenPair, Visit, VisitChoice, VisitCosts
+from mbcacq.design.plan_rewriter import seen_from
 from mbcacq.diagnosis.findings import TOGETHER, Advice
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
@@ -95,14 +95,20 @@ def pair_in_words(pair: OpenPair) -> str:
 
 def costs_of(loaded: LoadedPlan, measured: Observations | None, options: AdaptiveOptions = OPTIONS) -> VisitCosts:
     """Seconds of a pose and of moving an artefact, and where each artefact stands after the last measured pose."""
-    plan, at = loaded.plan, dict[str, str]()
-    if measured is not None:
-        for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
-            station = measured.cell.stations[measured.station[k]]
-            at[station.artefact] = station.id
+    plan, at = loaded.plan, {} if measured is None else moved_artefacts(measured)[1]
     pose_s = options.pose_s + plan.exposures * plan.scanner.scan_time_s
     by_hand = plan.positioner.driver == "manual"
     return VisitCosts(pose_s, options.move_by_hand_s if by_hand else options.move_by_positioner_s, at, options.look_s)
+
+
+def moved_artefacts(measured: Observations) -> tuple[int, dict[str, str]]:
+    """How often artefacts were moved while a recording was made, and the station at which each stands after it."""
+    moves, at = 0, dict[str, str]()
+    for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
+        station = measured.cell.stations[measured.station[k]]
+        moves += at.get(station.artefact) != station.id
+        at[station.artefact] = station.id
+    return moves, at
 
 
 def choose_next(
@@ -212,18 +218,10 @@ def _by_itself(loaded: LoadedPlan, pose: PlannedPose) -> tuple[int, ...] | None:
 
 def _moved_files(data: dict[str, Any], before: Path, folder: Path) -> None:
     """Names of files, which are relative to a plan, as seen from another folder."""
-    before, folder = before.resolve(), folder.resolve()
-    if before == folder:
+    if before.resolve() == folder.resolve():
         return
-
-    def seen(name: str) -> str:
-        try:
-            return Path(os.path.relpath(before / name, folder)).as_posix()
-        except ValueError:  # another drive of Windows
-            return str(before / name)
-
     robot = data["robot"]
     for key in ("model", "urdf"):
         if robot.get(key) is not None:
-            robot[key] = seen(robot[key])
-    data["artefacts"] = [seen(name) for name in data["artefacts"]]
+            robot[key] = seen_from(folder, before / robot[key])
+    data["artefacts"] = [seen_from(folder, before / name) for name in data["artefacts"]]

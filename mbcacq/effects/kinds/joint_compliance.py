@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import ANY_SIZE, Candidate, Support, plain_effect, plain_report
+from mbcacq.effects.effect import Candidate, Support, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
@@ -19,11 +19,13 @@ NAME = "joint_compliance"
 # Strain wave gears twist by 1 to 3 mrad at their rated torque (data sheets: torque over K1..K3), twice as much with a torque sensor behind
 # them; cycloidal gears by a tenth of that.
 LARGEST_WIND_UP = 0.01  # rad under the largest gravity torque
+TYPICAL_WIND_UP = 3e-4  # rad of a class of arms that span 0.03 to 3 mrad; of unknown masses only the product with the compliance shows
+TYPICAL = 1.5e-6  # rad/(N m) of a gearbox for 10 to 20 kg on the flange
 DECLARED = Declaration(every_arm=True, same_as_group=True, model_block="gear", challenge=Challenge(number=1, in_motion=4))
 
 
 def candidates(context: Context) -> list[Candidate]:
-    """For each joint that gravity loads, its compliance in rad/(N m)."""
+    """For each joint that gravity loads, its compliance in rad/(N m); of the torques of ``Covariates.links`` where no masses are given."""
     torque = context.gravity_torque
     out = []
     for i in range(context.n):
@@ -31,11 +33,10 @@ def candidates(context: Context) -> list[Candidate]:
             continue  # a vertical axis feels no gravity
         cause = f"gravity_torque_{i + 1}"
         described = [DescribedPart("joint", i, 0, (linear(cause),))]
-        support = ANY_SIZE  # in N m that are not known
-        if context.masses_known:
-            largest = LARGEST_WIND_UP / float(np.abs(torque[:, i]).max())
-            support = Support(largest, f"no gearbox winds up by more than {LARGEST_WIND_UP * 1e3:.0f} mrad under the arm's own weight")
-        size = {f"A{i + 1}.compliance_rad_per_Nm": 1.5e-6}
+        most = float(np.abs(torque[:, i]).max())
+        limit = f"no gearbox winds up by more than {LARGEST_WIND_UP * 1e3:.0f} mrad under the arm's own weight"
+        support = Support(LARGEST_WIND_UP / most, limit)
+        size = {f"A{i + 1}.compliance_rad_per_Nm": TYPICAL if context.masses_known else TYPICAL_WIND_UP / most}
         out.append(plain_effect(NAME, [f"A{i + 1}"], cause, described, size, positive=True, support=support))
     return out
 

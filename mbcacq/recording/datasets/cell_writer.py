@@ -25,6 +25,8 @@ def cell_to_yaml(cell: Cell) -> str:
     scanner: dict[str, Any] = {"name": cell.scanner_name}
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
+    if cell.length_scale is not None:
+        scanner["length_scale"] = float(cell.length_scale)
     if cell.noise_rad is not None:
         scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
@@ -99,6 +101,8 @@ def _artefact(artefact: Artefact) -> dict[str, Any]:
         data["known_length"] = Flow(
             {"balls": FlowList(known.balls), "length_mm": float(known.length_mm), "uncertainty_mm": float(known.uncertainty_mm)}
         )
+    if artefact.box is not None:
+        return data | {"box_mm": [_list(corner) for corner in artefact.box]}
     data["balls"] = [
         Flow({"id": int(ball), **({} if np.isnan(centre).any() else {"centre_mm": _list(centre)}), "diameter_mm": float(diameter)})
         for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)

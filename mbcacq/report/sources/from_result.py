@@ -60,7 +60,9 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         state = state_from_dict(dict(result), observations.cell)
         rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
         noise = result["noise"]
-        found["residuals"] = measured.residuals(used, state, noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(dict(result)))
+        values, effects = {p["name"]: p["value"] for p in result["parameters"]}, effects_of(dict(result))
+        scatter = noise["scanner_mm"], noise["joint_rad"]
+        found["residuals"] = measured.residuals(used, state, *scatter, rejected, effects, values)
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
     spacing = spacing_of(result)

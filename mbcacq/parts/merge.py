@@ -1,0 +1,145 @@
+"""One cloud of all scans of a part: in each voxel the point stays that is known best. Nothing is averaged or smoothed.
+
+Scans are read one at a time and their points put into blocks on the disk; blocks are thinned one at a time. So memory does not grow with
+the number of scans.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import replacing
+from mbcacq.files.ply_header import read_header
+from mbcacq.parts.options import PartOptions
+from mbcacq.parts.overlap import cells_of
+from mbcacq.parts.placement import CellPlacement, CommonMotion
+from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of
+from mbcacq.spheres.ply import ply_header
+
+# A point of the merged cloud. sigma_mm, sigma_base_mm: standard uncertainty along its normal, by the cell, the joints and the scanner,
+# within the part and in the base frame. scan: number of its pose.
+POINT = np.dtype([(n, "<f4") for n in ("x", "y", "z", "nx", "ny", "nz", "sigma_mm", "sigma_base_mm")] + [("scan", "<u4")])
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What was written: number of points before and after thinning, of scans, and the median and largest sigma_mm along the normal."""
+
+    read: int
+    kept: int
+    scans: int
+    sigma_mm: float
+    worst_mm: float
+
+
+def merge(
+    scans: Scans,
+    placement: CellPlacement,
+    common: CommonMotion,
+    noise_mm: tuple[float, float],
+    voxel_mm: float,
+    out: Path,
+    options: PartOptions,
+    simulated: bool = False,
+) -> Merged:
+    """Write the merged cloud as binary PLY, base frame, mm.
+
+    noise_mm: of a point of one scan that is seen straight on, by itself and together with its neighbours. Raises RecordingError.
+    """
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".merge-") as folder:
+        blocks = _Blocks(Path(folder), voxel_mm, options)
+        count = 0
+        for scan in scans():
+            blocks.add(_points(scan, surface_of(scan), placement, common, noise_mm))
+            count += 1
+        kept, sigma = 0, []
+        body = Path(folder) / "body"
+        with body.open("wb") as file:
+            for points in blocks.thinned():
+                file.write(points.tobytes())
+                kept += len(points)
+                sigma.append(np.quantile(points["sigma_mm"], [0.5, 1.0]))
+        with replacing(out) as partial, partial.open("wb") as file:
+            file.write(ply_header({name: POINT[name] for name in POINT.names or ()}, kept, ["simulated: true"] if simulated else ()))
+            with body.open("rb") as source:
+                while piece := source.read(1 << 22):
+                    file.write(piece)
+    middle, worst = np.array(sigma).T
+    return Merged(blocks.read, kept, count, float(np.median(middle)), float(worst.max()))
+
+
+def merged_points(path: Path) -> np.ndarray:
+    """The points of a cloud that ``merge`` wrote, as ``POINT``, read from the disk as they are used. Raises ConfigError for another."""
+    header = read_header(path)
+    if [p.name for p in header.elements[0].properties] != list(POINT.names or ()):
+        raise ConfigError(f"{path} is no cloud that mbcacq merge wrote; merge the scans again")
+    return np.memmap(path, POINT, "r", header.size, (header.elements[0].count,))
+
+
+def _points(
+    scan: PartScan, surface: ScanSurface, placement: CellPlacement, common: CommonMotion, noise_mm: tuple[float, float]
+) -> np.ndarray:
+    """The points of a scan as ``POINT``."""
+    single, together = noise_mm
+    out = np.empty(len(surface.points), POINT)
+    T = placement.cell.frames(scan.q[None])[0, -1] @ placement.cell.state.T_flange_scanner
+    normals = surface.normals @ T[:3, :3].T
+    seen = (single / surface.facing) ** 2 + together**2
+    for name, moved in (("sigma_mm", common), ("sigma_base_mm", None)):
+        known = placement.covariance_over(scan.q, surface.points, moved).variance_along(surface.points, normals)
+        out[name] = np.sqrt(known + seen)
+    out["scan"] = scan.number
+    for name, values in zip(POINT.names or (), [*placement.to_base(scan.q, surface.points).T, *normals.T], strict=False):
+        out[name] = values
+    return out
+
+
+class _Blocks:
+    """Points by blocks of space, in files. A block is as large as voxels of it with ``options.block_points`` points may be."""
+
+    def __init__(self, folder: Path, voxel_mm: float, options: PartOptions) -> None:
+        self._folder, self._voxel, self.read = folder, voxel_mm, 0
+        self._edge = voxel_mm * max(1, int((options.block_points / 10) ** 0.5))  # of a surface seen by ten scans
+
+    def add(self, points: np.ndarray) -> None:
+        self.read += len(points)
+        key = cells_of(_xyz(points), self._edge)
+        order = np.argsort(key, kind="stable")
+        block, start = np.unique(key[order], return_index=True)
+        for name, some in zip(block.tolist(), np.split(points[order], start[1:]), strict=True):
+            with (self._folder / f"block-{name}").open("ab") as file:
+                file.write(some.tobytes())
+
+    def thinned(self) -> Iterator[np.ndarray]:
+        """Block by block, of each voxel its best known point."""
+        for path in sorted(self._folder.glob("block-*")):
+            points = np.fromfile(path, POINT)
+            voxel = cells_of(_xyz(points), self._voxel)
+            order = np.lexsort((points["sigma_mm"], voxel))
+            first = np.unique(voxel[order], return_index=True)[1]
+            yield points[np.sort(order[first])]
+            path.unlink()
+
+
+def _xyz(points: np.ndarray) -> np.ndarray:
+    return np.stack([points[axis] for axis in "xyz"], axis=1).astype(float)
+
+
+def surface_mesh(cloud: Path, out: Path, depth: int = 9) -> int:
+    """Write the surface through a merged cloud (screened Poisson, Kazhdan and Hoppe 2013) as STL; the number of its triangles."""
+    from mbcacq.files.open3d_library import open3d
+
+    o3d = open3d()
+    points = o3d.io.read_point_cloud(str(cloud))
+    mesh, density = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=depth, n_threads=1)
+    thin = np.asarray(density) < np.quantile(np.asarray(density), 0.02)  # what the method adds beyond the edges of the scans
+    mesh.remove_vertices_by_mask(thin)
+    mesh.compute_triangle_normals()
+    o3d.io.write_triangle_mesh(str(out), mesh)
+    return len(mesh.triangles)

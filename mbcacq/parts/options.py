@@ -1,0 +1,43 @@
+"""Numbers that tune how scans are compared and merged, each with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOptions:
+    """points_per_scan: thinned to, for the steps; more hardly lower their uncertainty, which the smooth noise of a scan limits.
+    points_in_memory: of all scans together, thinned.
+    spacings_per_cell: edge of a cell in spacings of the thinned points, so that some 40 points lie in one.
+    points_in_cell: of each scan, which a cell needs at least for its seven coefficients.
+    rough: a cell with so many times the usual scatter holds an edge or a reflection.
+    gross: cells with so many robust sigmas from the step are left out, in at most ``rounds`` rounds.
+    cells: an overlap has at least and at most so many.
+    neighbours: overlaps of a scan that are used, the largest first.
+    slope: rms by which the surface must rise across a direction (rad) for the overlap to determine it. Below it the noise of the normals
+    (about 0.01 rad) feigns a determination.
+    captured: share of a cell by which scans may be apart for their step to be that of one linearisation.
+    steps: linearisations, at most.
+    block_points: merged at a time; each takes about 100 bytes.
+    cad_reach_mm: points farther from the CAD model are no points of the part.
+    fit_capture_mm: by so much the part may stand off its planned place for the best fit to find it.
+    fit_rounds: linearisations of the best fit, at most.
+    """
+
+    points_per_scan: int = 20_000
+    points_in_memory: int = 6_000_000
+    spacings_per_cell: float = 6.5
+    points_in_cell: int = 10
+    rough: float = 2.0
+    gross: float = 4.0
+    rounds: int = 3
+    cells: tuple[int, int] = (30, 400)
+    neighbours: int = 8
+    slope: float = 0.07
+    captured: float = 0.1
+    steps: int = 4
+    block_points: int = 4_000_000
+    cad_reach_mm: float = 5.0
+    fit_capture_mm: float = 30.0
+    fit_rounds: int = 60

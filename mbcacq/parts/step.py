@@ -1,0 +1,180 @@
+"""The rigid step between two scans of one surface, from the distances in their overlap: generalised least squares.
+
+Neighbouring cells share the smooth error of a scan, so their covariance is s^2 exp(-d^2 / 2 l^2) beside the scatter of the points. Both
+numbers are those of the scanner: they are estimated from all overlaps together by restricted maximum likelihood (Patterson and Thompson
+1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.parts.options import PartOptions
+from mbcacq.parts.overlap import Overlap
+from mbcacq.parts.placement import rigid_columns
+
+MOST_FOR_NOISE = 150  # cells of an overlap from which the smooth noise is estimated
+OVERLAPS_FOR_NOISE = 40
+
+
+@dataclass(frozen=True)
+class SmoothNoise:
+    """The smooth noise of the distance of two scans: sigma_mm, and the length_mm over which it varies."""
+
+    sigma_mm: float
+    length_mm: float
+
+    def covariance(self, cells: Overlap) -> np.ndarray:
+        """(c, c) mm^2 of the distances."""
+        square = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
+        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(cells.variance)
+
+
+@dataclass(frozen=True)
+class RigidStep:
+    """How the first scan of a pair stands to the second.
+
+    Attributes
+    ----------
+    twist : ndarray
+        (6,) mm and rad, base frame, about ``centre``; nothing along what the overlap does not determine.
+    covariance : ndarray
+        (6, 6) of it.
+    centre : ndarray
+        (3,) mm.
+    determined : ndarray
+        (6, r) orthonormal directions of ``scaled`` motions that the overlap determines.
+    radius_mm : float
+        Lever by which rotations are compared with shifts.
+    cells : Overlap
+        The cells that count.
+    left_out : int
+        Number of cells with gross differences.
+    """
+
+    twist: np.ndarray
+    covariance: np.ndarray
+    centre: np.ndarray
+    determined: np.ndarray
+    radius_mm: float
+    cells: Overlap
+    left_out: int
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """(6,) by which a twist is multiplied for all of its parts to be mm."""
+        return np.repeat([1.0, self.radius_mm], 3)
+
+    def shown(self, twist: np.ndarray) -> np.ndarray:
+        """The part (6,) of a twist that the overlap determines."""
+        return (self.determined @ (self.determined.T @ (self.scaled * twist))) / self.scaled
+
+    def rms_mm(self, twist: np.ndarray) -> float:
+        """Movement of the overlap by the determined part of a twist (6,), rms over its cells, 3D."""
+        return float(np.sqrt(np.mean(np.sum((rigid_columns(self.cells.point - self.centre) @ self.shown(twist)) ** 2, axis=1))))
+
+    def expected_mm(self, covariance: np.ndarray) -> float:
+        """rms of ``rms_mm`` of twists with a covariance (6, 6)."""
+        P = self.determined @ self.determined.T * self.scaled / self.scaled[:, None]
+        moved = rigid_columns(self.cells.point - self.centre) @ P
+        return float(np.sqrt(np.mean(np.einsum("kci,ij,kcj->k", moved, covariance, moved))))
+
+    def normalised(self, covariance: np.ndarray) -> float:
+        """Squared error of the step in the determined directions over what a covariance (6, 6) expects, per direction (NEES)."""
+        G = self.determined.T * self.scaled
+        return float((G @ self.twist) @ np.linalg.solve(G @ covariance @ G.T, G @ self.twist) / G.shape[0])
+
+    @property
+    def undetermined(self) -> list[str]:
+        """The motions that the overlap does not determine, in words."""
+        if self.determined.shape[1] == 6:
+            return []
+        return [_in_words(v / self.scaled, self.centre) for v in np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :].T]
+
+
+def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
+    """The step of an overlap with at least ``options.cells[0]`` cells."""
+    everything = len(cells)
+    if everything > options.cells[1]:
+        cells = cells.some(np.linspace(0, everything - 1, options.cells[1]).astype(int))
+    count, step = len(cells), _solved(cells, noise, options)
+    for _ in range(options.rounds):
+        J = np.einsum("kc,kci->ki", step.cells.normal, rigid_columns(step.cells.point - step.centre))
+        left = step.cells.distance - J @ step.twist
+        sigma = 1.4826 * np.median(np.abs(left - np.median(left)))
+        good = np.abs(left) < options.gross * max(sigma, float(np.sqrt(np.median(step.cells.variance))))
+        if good.all() or good.sum() < options.cells[0]:
+            break
+        step = _solved(step.cells.some(good), noise, options)
+    return replace(step, left_out=count - len(step.cells))
+
+
+def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
+    centre = cells.point.mean(axis=0)
+    radius = float(np.sqrt(np.mean(np.sum((cells.point - centre) ** 2, axis=1))))
+    scale = np.repeat([1.0, radius], 3)
+    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(cells.point - centre)) / scale
+    values, vectors = np.linalg.eigh(J.T @ J / len(J))
+    determined = vectors[:, values > options.slope**2]
+    whitened = np.linalg.cholesky(noise.covariance(cells))
+    A, r = (np.linalg.solve(whitened, side) for side in (J @ determined, cells.distance))
+    covariance, D = np.linalg.inv(A.T @ A), determined / scale[:, None]
+    twist, covariance = D @ covariance @ (A.T @ r), D @ covariance @ D.T
+    return RigidStep(twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=radius, cells=cells, left_out=0)
+
+
+def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoise:
+    """The smooth noise of the scanner from overlaps whose scans are nearly in place."""
+    from scipy.optimize import minimize
+
+    rng = np.random.default_rng(0)
+    chosen = [overlaps[k] for k in np.unique(np.linspace(0, len(overlaps) - 1, OVERLAPS_FOR_NOISE).astype(int))]
+    plain = SmoothNoise(0.0, 1.0)
+    some = []
+    for cells in chosen:
+        kept = rigid_step(cells, plain, options).cells
+        some.append(kept.some(rng.permutation(len(kept))[:MOST_FOR_NOISE]))
+    spans = [float(np.ptp(cells.point, axis=0).max()) for cells in some]
+    shortest = float(np.median([np.sqrt(np.min(_squares(cells), axis=1)).mean() for cells in some]))
+
+    def cost(at: np.ndarray) -> float:
+        noise = SmoothNoise(float(np.exp(at[0])), float(np.exp(at[1])))
+        return sum(_restricted_cost(cells, noise) for cells in some)
+
+    sigma = np.sqrt(np.median([np.median(cells.variance) for cells in some]))
+    low, high = np.log([0.01 * sigma, 0.5 * shortest]), np.log([30 * sigma, 0.5 * float(np.median(spans))])
+    starts = [np.log([sigma, length]) for length in (2 * shortest, 0.2 * float(np.median(spans)))]
+    limits, exact = list(zip(low, high, strict=True)), {"xatol": 0.02, "fatol": 0.1}
+    tried = [minimize(cost, start, method="Nelder-Mead", bounds=limits, options=exact) for start in starts]
+    found = min(tried, key=lambda one: one.fun)
+    return SmoothNoise(*np.exp(found.x).tolist())
+
+
+def _squares(cells: Overlap) -> np.ndarray:
+    away = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
+    return away + np.diag(np.full(len(cells), np.inf))
+
+
+def _restricted_cost(cells: Overlap, noise: SmoothNoise) -> float:
+    """-2 times the restricted log likelihood of an overlap's distances, but for a constant."""
+    arms = cells.point - cells.point.mean(axis=0)
+    radius = np.sqrt(np.mean(np.sum(arms**2, axis=1)))
+    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(arms)) / np.repeat([1.0, radius], 3)
+    L = np.linalg.cholesky(noise.covariance(cells))
+    A, r = (np.linalg.solve(L, side) for side in (J, cells.distance))
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    r = r - U @ (U.T @ r)
+    return float(2 * np.log(np.diag(L)).sum() + 2 * np.log(s).sum() + r @ r)
+
+
+def _in_words(twist: np.ndarray, centre: np.ndarray) -> str:
+    """A motion that leaves a surface on itself: a shift along a direction, or a turn about an axis through a point, base frame."""
+    shift, turn = twist[:3], twist[3:]
+    angle = float(np.linalg.norm(turn))
+    if angle * 1e3 < float(np.linalg.norm(shift)):  # the axis is more than 1 m away: nearly a shift
+        return "along ({:.2f}, {:.2f}, {:.2f})".format(*shift / np.linalg.norm(shift))
+    at = centre + np.cross(turn, shift) / angle**2
+    return "about ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*turn / angle, *at)

@@ -1,0 +1,91 @@
+"""Scans of a part as a recording: before and after the calibration, the steps between them, the deviations from the CAD model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import replacing
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.blueprint import collapsed
+from mbcacq.recording.rrd.drawable import drawn_text
+from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+from mbcacq.recording.rrd.scan_colouring import GREY, diverging
+
+AS_EXPECTED, WORST = 1.0, 3.0  # step over what is expected of it: ends of the colours
+GOLDEN = 0.61803398875  # of the circle of hues between neighbouring scans
+
+
+@dataclass(frozen=True)
+class PartDrawn:
+    """What is drawn of a part.
+
+    Attributes
+    ----------
+    text : str
+        Markdown.
+    scans : mapping
+        Name of a placement -> (N, 3) mm of each scan, base frame.
+    centres, steps, share : ndarray
+        (k, 3) mm, (k, 3) mm and (k,): of each overlap its place, how its scans are apart, and that over what is expected.
+    deviations : ndarray or None
+        (d, 4) mm: points of the part in the CAD frame with their deviation; or None.
+    U_mm : float
+        Expanded uncertainty at which the colours of the deviations end, twice.
+    """
+
+    text: str
+    scans: Mapping[str, Sequence[np.ndarray]]
+    centres: np.ndarray
+    steps: np.ndarray
+    share: np.ndarray
+    deviations: np.ndarray | None = None
+    U_mm: float = 0.0
+
+
+def write_part(path: Path | str, drawn: PartDrawn) -> Path:
+    """Write a .rrd of a part alone. Raises RecordingError if it cannot be written."""
+    views: list[rrb.View] = [rrb.Spatial3DView(name=f"scans, {name}", origin=f"part/{name}") for name in drawn.scans]
+    views.append(rrb.Spatial3DView(name="steps between scans, 300 times", origin="part/steps"))
+    if drawn.deviations is not None:
+        views.append(rrb.Spatial3DView(name="deviations from CAD", origin="part/cad"))
+    shown = rrb.Horizontal(rrb.Grid(*views), rrb.TextDocumentView(name="agreement", origin="part/text"), column_shares=[4, 1])
+    with replacing(path) as partial:
+        stream = new_stream(layout.APPLICATION)
+        try:
+            with into_file(stream, partial):
+                send_default_blueprint(stream, rrb.Blueprint(shown, *collapsed(layout.TIME)))
+                _log(stream, drawn)
+        except (RuntimeError, OSError) as error:
+            raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
+    return Path(path)
+
+
+def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
+    stream.set_time(layout.TIME, duration=0.0)  # a viewer needs a time, even of what does not change
+    stream.log("part/text", drawn_text(drawn.text))
+    for name, clouds in drawn.scans.items():
+        for number, points in enumerate(clouds):
+            colour = np.rint(255 * _hue((number * GOLDEN) % 1.0)).astype(np.uint8)
+            cloud = rr.Points3D(points.astype(np.float32), colors=[colour], radii=rr.Radius.ui_points(1.2))
+            stream.log(f"part/{name}/{number}", cloud)
+    whole = np.concatenate(list(drawn.scans.values())[-1])[::10].astype(np.float32)
+    stream.log("part/steps/surface", rr.Points3D(whole, colors=[GREY], radii=rr.Radius.ui_points(0.8)))
+    colours = diverging((drawn.share - AS_EXPECTED) / (WORST - AS_EXPECTED))
+    arrows = rr.Arrows3D(origins=drawn.centres, vectors=300 * drawn.steps, colors=colours, radii=rr.Radius.ui_points(1.5))
+    stream.log("part/steps/arrows", arrows)
+    if drawn.deviations is not None:
+        points, along = drawn.deviations[:, :3].astype(np.float32), drawn.deviations[:, 3]
+        cloud = rr.Points3D(points, colors=diverging(along / (2 * drawn.U_mm)), radii=rr.Radius.ui_points(1.5))
+        stream.log("part/cad", cloud)
+
+
+def _hue(share: float) -> np.ndarray:
+    """(3,) of 0 to 1: a colour of the circle."""
+    return np.clip(np.abs((6 * share + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1, 0, 1) * 0.75 + 0.2

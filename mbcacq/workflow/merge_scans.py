@@ -1,0 +1,227 @@
+"""The scans of a part in a recording, merged by the calibrated cell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.errors import ConfigError
+from mbcacq.files.mesh_file import read_mesh
+from mbcacq.geometry.flange_poses import FlangePoses
+from mbcacq.model.observations import Observations
+from mbcacq.parts.agreement import Agreement, agreement
+from mbcacq.parts.cad import CadDeviations, compare_with_cad
+from mbcacq.parts.merge import Merged, merge
+from mbcacq.parts.options import PartOptions
+from mbcacq.parts.placement import CommonMotion, placements
+from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of, thinned
+from mbcacq.workflow.load import as_cell, is_run_folder
+
+VOXELS_PER_SPACING = 1.0
+DRAWN = 3000  # points of a scan
+
+
+@dataclass(frozen=True)
+class MergedPart:
+    """What was made of the scans of a part: where it stood, its cloud, and how well its scans agree."""
+
+    station: str
+    cloud: Path
+    merged: Merged
+    agreement: Agreement
+    voxel_mm: float
+    simulated: bool
+    scans: dict[str, list[np.ndarray]]  # name of a placement -> some points of each scan, mm, base frame
+    deviations: CadDeviations | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "format": "mbcacq-merge/1",
+            **({"simulated": True} if self.simulated else {}),
+            "station": self.station,
+            "cloud": str(self.cloud),
+            "voxel_mm": self.voxel_mm,
+            "scans": self.merged.scans,
+            "points": {"read": self.merged.read, "kept": self.merged.kept},
+            "sigma_mm": {"median": self.merged.sigma_mm, "largest": self.merged.worst_mm},
+            "agreement": self.agreement.to_dict(),
+            **({} if self.deviations is None else {"cad": self.deviations.to_dict()}),
+        }
+
+    def write(self, stem: Path) -> list[Path]:
+        """Write STEM.json, all figures, and STEM.rrd, all of it for the viewer. Raises RecordingError."""
+        from mbcacq.files.atomic_write import write_file
+        from mbcacq.recording.rrd.part_recording import PartDrawn, write_part
+
+        pairs, cad = self.agreement.pairs, self.deviations
+        best = self.agreement.names[-1]
+        drawn = PartDrawn(
+            text="\n\n".join([self.agreement.sentence, *([] if cad is None else [cad.sentence])]),
+            scans={"before": self.scans[self.agreement.names[0]], "after": self.scans[best]},
+            centres=np.array([pair.step.centre for pair in pairs]),
+            steps=np.array([pair.step.twist[:3] for pair in pairs]),
+            share=np.array([pair.by_placement[best] / pair.expected_mm for pair in pairs]),
+            deviations=None if cad is None else cad.drawn,
+            U_mm=0.0 if cad is None else cad.U_mm,
+        )
+        written = write_part(stem.with_suffix(".rrd"), drawn)
+        return [write_file(stem.with_suffix(".json"), json.dumps(self.to_dict())), written]
+
+
+def merge_scans(
+    source: Path | str,
+    out: Path | str,
+    *,
+    result: CalibratedCell | dict[str, Any] | Path | str | None = None,
+    station: str | None = None,
+    voxel_mm: float | None = None,
+    cad: Path | str | None = None,
+    fit: bool = True,
+    progress: Callable[[str], None] = lambda sentence: None,
+) -> MergedPart:
+    """Place all scans of a part by a calibrated cell, compare them where they overlap, and write them as one cloud.
+
+    Parameters
+    ----------
+    source
+        Run folder, or observation set with ``scans/POSE.ply``.
+    out
+        The PLY to write: base frame, mm; with normals, ``sigma_mm`` and ``sigma_base_mm`` (standard uncertainty along the normal, within
+        the part and in the base frame) and ``scan`` (number of the pose).
+    result
+        The calibrated cell; default: that of the run.
+    station
+        Where the part stood; needed where parts stood at several.
+    voxel_mm
+        In each voxel of this edge the best known point stays; default: the spacing of a scan's points.
+    cad
+        Mesh of the part's design in mm, with which the cloud is compared.
+    fit
+        Compare at the best fit; else where the plan says that the part stands.
+
+    Raises
+    ------
+    ConfigError
+        The recording holds no part, its scans do not overlap, or the result is of another arm.
+    """
+    from mbcacq.recording import load_observations
+
+    o = PartOptions()
+    source, out = Path(source), Path(out)
+    cell = as_cell(source if result is None else result)
+    observations = load_observations(source)
+    if isinstance(cell.nominal, FlangePoses) or observations.q.shape[1] != cell.nominal.n:
+        raise ConfigError("the result and the recording are of different arms; give the result of this cell")
+    station = _station(observations, station)
+    scans = _scans(source, observations, station)
+    progress("comparing the scans where they overlap")
+    count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
+    seen = _thinned(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)), o)
+    ways = placements(cell)
+    compared = agreement(seen[0], ways, o)
+    voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
+    progress("merging them")
+    noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
+    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen[0]])
+    merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
+    some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen[0]]
+    drawn = {way.name: [way.to_base(q, points) for q, points in some] for way in (ways[0], ways[-1])}
+    deviations = None
+    if cad is not None:
+        progress("comparing with the design")
+        deviations = compare_with_cad(out, read_mesh(cad), _planned_place(source, station), o, fit=fit)
+    return MergedPart(
+        station=station,
+        cloud=out,
+        merged=merged,
+        agreement=compared,
+        voxel_mm=voxel,
+        simulated=observations.cell.simulated,
+        scans=drawn,
+        deviations=deviations,
+    )
+
+
+def _planned_place(source: Path, station: str) -> np.ndarray:
+    """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
+    from mbcacq.model import yaml12
+    from mbcacq.plan.schema import StationPlace
+    from mbcacq.recording import load_observations
+
+    text = source / "plan.yaml"
+    if text.is_file():
+        places = yaml12.load(text.read_text(encoding="utf-8")).get("stations", ())
+        found = next((StationPlace.model_validate(one) for one in places if str(one.get("id")) == station), None)
+        if found is not None:
+            return found.pose_in_base.transform()
+    placed = load_observations(source).cell.station(station).T_base_station
+    if placed is None:
+        raise ConfigError(f"nothing says where station '{station}' is; give its pose_in_base in cell.yaml, roughly")
+    return placed
+
+
+def _station(observations: Observations, wanted: str | None) -> str:
+    """Where the part stood. Raises ConfigError where that is not one station."""
+    cell = observations.cell
+    known = [s.id for s in cell.stations]
+    if wanted is not None:
+        if wanted not in known:
+            raise ConfigError(f"there is no station '{wanted}' (there: {', '.join(known)}); name one of these")
+        return wanted
+    parts = [s.id for k, s in enumerate(cell.stations) if cell.artefact(s.artefact).is_part and (observations.station == k).any()]
+    if len(parts) != 1:
+        what = f"parts were scanned at {', '.join(parts)}" if parts else "no part was scanned, only artefacts"
+        raise ConfigError(f"{what}; say whose scans are meant by --station (there: {', '.join(known)})")
+    return parts[0]
+
+
+def _thinned(scans: Scans, most: int, options: PartOptions) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
+    """All scans with at most so many points each; and the median spacing of their points in mm."""
+    kept, spacing = [], []
+    for scan in scans():
+        surface = surface_of(scan)
+        some = thinned(surface, most)
+        kept.append((PartScan(scan.number, scan.q, some.points), some))
+        spacing.append(_spacing(surface.points))
+    if not kept:
+        raise ConfigError("the recording holds no scan of the part; was it recorded with keep_clouds, or are its clouds in scans/POSE.ply?")
+    return kept, float(np.median(spacing))
+
+
+def _spacing(points: np.ndarray) -> float:
+    from scipy.spatial import KDTree
+
+    return float(np.median(KDTree(points).query(points[:: max(1, len(points) // 300)], k=2)[0][:, 1]))
+
+
+def _scans(source: Path, observations: Observations, station: str) -> Scans:
+    index = [s.id for s in observations.cell.stations].index(station)
+    of_pose = {int(n): q for n, q, s in zip(observations.pose_id, observations.q, observations.station, strict=True) if s == index}
+    read = _of_run if is_run_folder(source) or source.is_file() else _of_folder
+    return lambda: read(source, of_pose)
+
+
+def _of_run(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
+    """Scans of a recording; the exposures of a pose one after the other."""
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    for recording in open_recordings(source):
+        for taken in recording.scans():
+            if taken.pose in of_pose and len(taken.scan.points):
+                yield PartScan(taken.pose, of_pose[taken.pose], taken.scan.points)
+
+
+def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
+    from mbcacq.spheres.cloud_files import SUFFIXES, read_points
+
+    for number, q in of_pose.items():
+        for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
+            if path.is_file():
+                yield PartScan(number, q, read_points(path))
+                break

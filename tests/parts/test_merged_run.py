@@ -1,0 +1,125 @@
+"""A part scanned by the fake cell over the wires, merged by the cell that the same run calibrates, against its true surface."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dry_runs import PLANS, plan_file, recorded
+
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.errors import ConfigError
+from mbcacq.files.mesh_file import read_mesh
+from mbcacq.parts.agreement import agreement
+from mbcacq.parts.merge import merge, merged_points
+from mbcacq.parts.options import PartOptions
+from mbcacq.parts.overlap import cells_of
+from mbcacq.parts.placement import CommonMotion, placements
+from mbcacq.parts.scans import PartScan, surface_of, thinned
+from mbcacq.spheres.cloud_file import read_cloud_file
+from mbcacq.workflow.merge_scans import merge_scans
+
+DESIGN = PLANS / "parts" / "freeform.stl"
+
+
+def few_poses(plan):
+    """36 poses of the balls and eight scans of the part."""
+    plan["exposures"] = 1
+    plan["scanner"]["resolution_mm"] = 0.8
+    plan["steps"][2]["stations"] = ["p1", "p2", "p4"]
+    plan["steps"][3]["views"] = plan["steps"][3]["views"][6:18:2] + plan["steps"][3]["views"][27:29]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("part")
+    observations = recorded(plan_file(folder, few_poses, "part.yaml"), folder / "run")
+    return folder / "run", observations, calibrate(observations)
+
+
+@pytest.fixture(scope="module")
+def merged(run):
+    folder, _, cell = run
+    return merge_scans(folder, folder / "merged.ply", result=cell, cad=DESIGN)
+
+
+def test_poses_of_the_part_hold_no_balls_and_take_no_part_in_the_calibration(run):
+    _, observations, cell = run
+    of_part = observations.phase == "part"
+    assert of_part.sum() == 8
+    assert not of_part[observations.pose].any()
+    assert cell.fit.used_poses == 36
+
+
+def test_calibration_brings_the_scans_together_as_far_as_it_says(merged):
+    found = merged.agreement
+    assert found.rms_mm("before") > 0.15
+    assert found.rms_mm("geometry") < found.rms_mm("before") / 5
+    assert 0.4 < found.ratio < 1.8  # of few overlaps, which share the error of one calibration
+    assert f"expected {found.expected_mm:.3f}" in found.sentence
+    assert "more than the calibration explains" not in found.sentence
+
+
+def test_the_merged_cloud_lies_on_the_true_surface(merged):
+    found = merged.deviations
+    assert abs(found.mean_mm) < found.U_mm
+    assert found.rms_mm < 1.3 * found.expected_mm
+    assert found.beyond_U < 0.15
+    assert found.apart == 0
+
+
+def test_the_cloud_has_one_point_a_voxel_with_its_scan_and_uncertainty(merged):
+    cloud = read_cloud_file(merged.cloud)
+    assert len(np.unique(cells_of(cloud.points.astype(float), merged.voxel_mm))) == len(cloud.points) == merged.merged.kept
+    assert len(np.unique(cloud.properties["scan"])) == merged.merged.scans == 8
+    normals = np.stack([cloud.properties[n] for n in ("nx", "ny", "nz")], axis=1)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(normals)), abs=1e-5)
+    # The place of the part as a whole is uncertain in the base frame, and does not matter within the part.
+    assert np.median(cloud.properties["sigma_base_mm"]) > np.median(cloud.properties["sigma_mm"]) > 0.005
+
+
+def test_blocks_change_nothing(run, merged, tmp_path):
+    folder, observations, cell = run
+    scans = list(_scans(folder, observations))
+    way = placements(cell)[-1]
+    common = CommonMotion.of(way, [(scan.q, scan.points[::200]) for scan in scans])
+    options = PartOptions()
+    for name, size in (("one", options.block_points), ("many", 4000)):
+        merge(lambda: iter(scans), way, common, (0.01, 0.009), 0.8, tmp_path / f"{name}.ply", replace(options, block_points=size))
+    one, many = (np.sort(np.array(merged_points(tmp_path / f"{name}.ply")), order=["x", "y", "z"]) for name in ("one", "many"))
+    assert np.array_equal(one, many)
+    assert not list(tmp_path.glob(".merge-*"))
+
+
+def test_a_part_that_moved_is_no_matter_of_the_calibration(run):
+    folder, observations, cell = run
+    scans = []
+    for k, scan in enumerate(_scans(folder, observations)):
+        moved = PartScan(scan.number, scan.q, scan.points + [0.0, 0.0, 0.15 * (k >= 4)])
+        scans.append((moved, thinned(surface_of(moved), 20_000)))
+    found = agreement(scans, placements(cell), PartOptions())
+    assert found.ratio > 2
+    assert "the part, the mount or the arm moved" in found.sentence
+
+
+def test_a_recording_without_a_part_says_how_to_name_one(run, tmp_path):
+    folder, observations, cell = run
+    with pytest.raises(ConfigError, match="there is no station 'p9' .there: p1"):
+        merge_scans(folder, tmp_path / "a.ply", result=cell, station="p9")
+
+
+def _scans(folder: Path, observations):
+    from mbcacq.recording.rrd.reader import open_recordings
+
+    q = dict(zip(observations.pose_id.tolist(), observations.q, strict=True))
+    parts = set(observations.pose_id[observations.phase == "part"].tolist())
+    for taken in open_recordings(folder)[0].scans():
+        if taken.pose in parts:
+            yield PartScan(taken.pose, q[taken.pose], taken.scan.points)
+
+
+def test_a_design_in_metres_or_cut_off_is_refused(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(DESIGN.read_bytes()[:-10])
+    with pytest.raises(ConfigError, match="is cut off: its head announces"):
+        read_mesh(path)
