@@ -20,6 +20,7 @@ from mbcacq.diagnosis.nonparametric.joint_model import coefficients_of
 from mbcacq.diagnosis.search.effect_columns import candidate_parts, covariates
 from mbcacq.diagnosis.validation.found_again import jackknife
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 from mbcacq.quantities import K
 
 MOST_PEAKS = 3  # that are stated with their odds; more say that the order is not determined
@@ -27,7 +28,8 @@ SHARPEST = 0.5  # expanded uncertainty from which an order is not determined: it
 ONE_PEAK = 0.4  # of the resolution, within which orders of two parts are one
 ALIASES = 2.0  # orders, or one resolution, within which what parts have is the same line
 LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of which a joint has one component for each line
-RMS = "rms_deg"  # over the poses, of the error of a joint by its own angle: all lines, and what they leave
+RMS = "rms_deg"  # over the poses, of the error of a joint by its own angle: its fast lines, and what they leave
+SLOW = UNMODELLED.slow_order  # orders below trade with geometry and gravity, and are no part of that
 CROWDED = 2.0  # resolutions, within which two lines of a joint trade with each other where the error is no sum of sines
 
 
@@ -72,8 +74,8 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
 
 
 def own_errors(full: ModelFit) -> dict[str, float]:
-    """Joint with a periodic error -> rms over the poses, deg, of all that it turns by as a function of its own angle: the lines, and what
-    is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does.
+    """Joint with a periodic error -> rms over the poses, deg, of all that it turns by as a fast function of its own angle: the lines, and
+    what is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does.
     """
     linear, model = full.geometry_only.linear, full.model
     turned = [
@@ -81,16 +83,25 @@ def own_errors(full: ModelFit) -> dict[str, float]:
         for m, own in zip(model.members, model.slices(), strict=True)
         if m.candidate.periodic
     ]
-    joints = {(at, on) for at, on, *_ in turned}
+    fast = {m.candidate.where[0] for m in model.members if m.candidate.periodic and m.value >= SLOW}
+    joints = {(at, on) for at, on, *_ in turned if at in fast}
     if full.random:
         each, (found, _) = zip(full.random, coefficients_of(full.random), strict=True), full.random_effects
         turned += [(g.location, g.depends_on, g.parts, found[own]) for g, own in each if (g.location, g.depends_on) in joints]
-    out: dict[str, np.ndarray] = {}
-    for at, _, parts, coefficients in turned:
+    out: dict[tuple[str, str], np.ndarray] = {}
+    for at, on, parts, coefficients in turned:
         for part in parts:
-            if part.place == "joint":
-                out[at] = out.get(at, np.zeros(len(part.basis))) + part.basis @ coefficients
-    return {at: float(np.degrees(angle.std())) for at, angle in out.items()}
+            if part.place == "joint" and (at, on) in joints:
+                out[at, on] = out.get((at, on), np.zeros(len(part.basis))) + part.basis @ coefficients
+    return {at: float(np.degrees(fast_part(covariates(linear).value(on), f).std())) for (at, on), f in out.items()}
+
+
+def fast_part(angle: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (P,) at angles (P,) without their part of orders below ``SLOW``, by half waves over the travel."""
+    travel = float(np.ptp(angle))
+    half_waves = np.arange(int(SLOW * travel / np.pi) + 1)
+    X = np.cos(np.pi * half_waves * (angle - angle.min())[:, None] / max(travel, 1e-9))
+    return values - X @ np.linalg.lstsq(X, values, rcond=None)[0]
 
 
 def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float]) -> HalfDifference:
@@ -134,7 +145,7 @@ def stated_orders(
     middle
         Mean of the angle, rad: an order is turned about it, and the phase at zero with it.
     whole
-        Rms of the error of the joint by its own angle, deg; None for that of its lines.
+        Rms of the fast error of the joint by its own angle, deg; None for that of its lines.
     """
     orders, sigmas = (np.array(x) for x in effect.parameters[f"{at}.order"].components)
     lines = []
