@@ -97,10 +97,10 @@ def own_errors(full: ModelFit) -> dict[str, float]:
 
 
 def fast_part(angle: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (P,) at angles (P,) without their part of orders below ``SLOW``, by a line and half waves over the travel."""
+    """Values (P,) at angles (P,) without their part of orders below ``SLOW``, by a parabola and half waves over the travel."""
     travel = float(np.ptp(angle))
     half_waves = np.arange(int(SLOW * travel / np.pi) + 1)
-    X = np.column_stack([angle, np.cos(np.pi * half_waves * (angle - angle.min())[:, None] / max(travel, 1e-9))])
+    X = np.column_stack([angle, angle**2, np.cos(np.pi * half_waves * (angle - angle.min())[:, None] / max(travel, 1e-9))])
     return values - X @ np.linalg.lstsq(X, values, rcond=None)[0]
 
 
