@@ -21,6 +21,7 @@ from mbcacq.calibration.published_cell import (
     cell_of,
     with_accident,
     with_length_uncertainty,
+    with_loads,
     with_nominal_arm,
     with_notes_on_poses,
 )
@@ -45,7 +46,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     try:
         with one_thread(), likely_cause_named(observations):
             found = with_notes_on_poses(_calibrate(observations, options or CalibrationOptions()), observations)
-            return replace(found, own_adjustment=None, calibrate_again=calibrate_with_effects)
+            return replace(with_loads(found), own_adjustment=None, calibrate_again=calibrate_with_effects)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
@@ -57,7 +58,8 @@ def calibrate_with_effects(
     observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
 ) -> CalibratedCell:
     """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
-    return replace(refitted(observations, options, model, calibrate, hold=hold), calibrate_again=calibrate_with_effects)
+    found = refitted(observations, options, model, calibrate, hold=hold)
+    return replace(with_loads(found), calibrate_again=calibrate_with_effects)
 
 
 def effects_fitted_with_the_cell(observations: Observations, options: CalibrationOptions, model: EffectModel) -> EffectModel | None:

@@ -17,6 +17,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.change import NOTABLE, ChangeEvidence
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.description import wrong_length
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
 from mbcacq.estimation.options import copies
@@ -29,6 +30,7 @@ from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
+LOADS = "loads_Nm"
 LEAST_STEP = 1e-5  # of a scale, relative; below, rounding would show
 TWIST = tuple(f"hand_eye.{c}" for c in HAND_EYE)
 
@@ -94,6 +96,15 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         cell = replace(cell, extra={**cell.extra, "length_instrument": said})
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
+
+
+def with_loads(cell: CalibratedCell) -> CalibratedCell:
+    """The cell with the range of the torques of gravity that each joint carried in nine of ten poses: 'loads_Nm' of result.json, where
+    masses are known."""
+    here = Covariates(cell.fit.observations)
+    if not here.masses_known or here.obs.cell.robot.of_flange_poses:
+        return cell
+    return replace(cell, extra={**cell.extra, LOADS: np.quantile(here.gravity_torque, (0.05, 0.95), axis=0).T.tolist()})
 
 
 def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
