@@ -68,7 +68,7 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
         for at in effect.where:
             if f"{at}.order" in effect.parameters and at in peaks:
                 parts = next((one for one in effect.found_again if one.at == at and one.disjoint), None)
-                effect = stated_orders(effect, at, peaks[at], parts, resolution[at], spread, middle[at], whole.get(at))
+                effect = stated_orders(effect, at, peaks[at], parts, resolution[at], spread=spread, middle=middle[at], whole=whole.get(at))
         out.append(effect)
     return out
 
@@ -85,9 +85,8 @@ def own_errors(full: ModelFit) -> dict[str, float]:
     ]
     fast = {m.candidate.where[0] for m in model.members if m.candidate.periodic and m.value >= SLOW}
     joints = {(at, on) for at, on, *_ in turned if at in fast}
-    if full.random:
-        each, (found, _) = zip(full.random, coefficients_of(full.random), strict=True), full.random_effects
-        turned += [(g.location, g.depends_on, g.parts, found[own]) for g, own in each if (g.location, g.depends_on) in joints]
+    each, (found, _) = zip(full.random, coefficients_of(full.random), strict=True), full.random_effects
+    turned += [(g.location, g.depends_on, g.parts, found[own]) for g, own in each if (g.location, g.depends_on) in joints]
     out: dict[tuple[str, str], np.ndarray] = {}
     for at, on, parts, coefficients in turned:
         for part in parts:
