@@ -17,7 +17,7 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution, covariance_of, covariance_under_its_noise
-from mbcacq.estimation.terms import SHARED, Term, shared_errors
+from mbcacq.estimation.terms import Term, known_errors
 from mbcacq.geometry import se3
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
@@ -162,11 +162,11 @@ class ObservationFit:
         """3D rms of the residuals of all centres used."""
         return float(np.sqrt(np.mean(np.sum(self.residual[self.used, :3] ** 2, axis=1)))) if self.used.any() else float("nan")
 
-    def shared_errors(self, observations: Observations) -> tuple[tuple[Term, np.ndarray], ...]:
-        """The errors that the measurements of the recording share, as a term of other poses of it, with their estimates."""
+    def instrument_errors(self, observations: Observations) -> list[tuple[Term, np.ndarray]]:
+        """The errors of the instrument that belong to the recording, as terms of other poses of it, with their estimates."""
         # The coefficients of a discrepancy stand behind those of the terms that were asked for.
-        found = [c for t, c in zip(self.options.terms, self.coefficients, strict=False) if t.name == SHARED]
-        return tuple(zip(shared_errors(observations), found, strict=False))
+        terms = zip(self.options.terms, self.coefficients, strict=False)
+        return known_errors(observations, {name: float(v) for t, c in terms for name, v in zip(t.names, c, strict=True)})
 
     def holds(self, observations: Observations) -> bool:
         """Whether any pose of ``observations`` is among those fitted: the same number with the same joint angles."""

@@ -84,8 +84,9 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
             f"at every station all poses have the same orientation (within {np.degrees(turn):.1f}°), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20° and more"
         )
-    unknowns = 6 + 6 * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
-    rows = obs.n_centres * (3 if obs.rotation is None else 6)
+    place = 3 if obs.width == 1 else 6
+    unknowns = place + place * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
+    rows = obs.n_centres * obs.width
     if rows < unknowns:
         raise CalibrationError(f"{obs.n_centres} measured centres give {rows} coordinates for {unknowns} unknowns; measure more poses")
 

@@ -114,7 +114,8 @@ def fixed_scanners(result: dict[str, Any]) -> list[Table]:
     for station in result["stations"]:
         table = Table(title=f"instrument '{station['id']}' in the base, ± U (k = 2)", title_justify="left")
         std = station["std"]
-        _frame_rows(table, station["T_base_station"], [*std[:3], *std[:2:-1]])
+        turn = [None] * 3 if result.get("length_instrument") else std[:2:-1]  # of one that measures distances there is none
+        _frame_rows(table, station["T_base_station"], [*std[:3], *turn])
         out.append(table)
     return out
 
@@ -165,7 +166,9 @@ def fit(result: dict[str, Any]) -> list[str]:
             return out
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])
-        out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
+        distance = f"a distance {uncertainty(1e3 * noise['scanner_mm'][0])} µm"
+        scatter = distance if result.get("length_instrument") else f"scanner {axes} µm along x, y, z{turn}"
+        out.append(f"Noise (k = 1): {scatter}{_repeatability(result)}")
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
@@ -229,6 +232,15 @@ def remarks(result: dict[str, Any]) -> list[str]:
 def _image_of(result: dict[str, Any], pose: int) -> str:
     found = next((one["name"] for one in result.get("images", {}).get("images", ()) if one["pose"] == pose), "")
     return f" of {found}" if found else ""
+
+
+def length_instrument(result: dict[str, Any]) -> list[str]:
+    """Offset and scale of an instrument that measures distances."""
+    if not (found := result.get("length_instrument")):
+        return []
+    offset, U = pair(found["offset_mm"], K * found["offset_std_mm"])
+    scale, U_scale = pair(1e6 * found["scale"], K * 1e6 * found["scale_std"])
+    return [f"Instrument (± U, k = 2): offset {offset} ± {U} mm, scale {scale} ± {U_scale} ppm"]
 
 
 def images(result: dict[str, Any]) -> list[str]:

@@ -217,10 +217,12 @@ class StationSpec(Strict):
 
 
 class ScannerSpec(Strict):
-    """noise_mm: of one centre along x, y, z; zeros say as little as none."""
+    """noise_mm: of one centre along x, y, z; zeros say as little as none. length_scale: of an instrument that measures distances alone, the
+    relative standard uncertainty of its scale."""
 
     name: str = ""
     noise_mm: tuple[Noise, Noise, Noise] | None = None
+    length_scale: Annotated[float, Field(gt=0, le=0.1)] | None = None
     noise_deg: AngleNoise | None = None
 
 
@@ -279,6 +281,7 @@ class CellSpec(Strict):
             scanner_name=self.scanner.name,
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=MEASUREMENTS[self.measurement],
+            length_scale=self.scanner.length_scale,
             noise_rad=np.radians(self.scanner.noise_deg) if self.scanner.noise_deg else None,
             simulated=self.simulated,
             room_temperature_C=self.room_temperature_C,

@@ -25,6 +25,8 @@ def cell_to_yaml(cell: Cell) -> str:
     scanner: dict[str, Any] = {"name": cell.scanner_name}
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
+    if cell.length_scale is not None:
+        scanner["length_scale"] = float(cell.length_scale)
     if cell.noise_rad is not None:
         scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
