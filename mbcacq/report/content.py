@@ -329,6 +329,32 @@ class DiagnosisContent:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PartContent:
+    """A part whose scans were merged.
+
+    Attributes
+    ----------
+    sentences : list[str]
+        How well the scans agree, and how far the part is from its design.
+    poses : list[str]
+        The poses of each of the k pairs of scans.
+    before_mm, after_mm, expected_mm : ndarray
+        (k,) 3D rms over the overlap of each pair.
+    x_mm, y_mm, deviation_mm : ndarray or None
+        (a,), (b,) and (b, a): map of the mean deviation from the design, NaN where there is no point; None without a design.
+    """
+
+    sentences: list[str]
+    poses: list[str]
+    before_mm: np.ndarray
+    after_mm: np.ndarray
+    expected_mm: np.ndarray
+    x_mm: np.ndarray | None = None
+    y_mm: np.ndarray | None = None
+    deviation_mm: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Content:
     """All that a report says. It is about the cell with the effects of its diagnosis, if the run has these, else about its geometry.
     earlier: the spacing with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with
@@ -357,6 +383,7 @@ class Content:
     correlation: tuple[list[str], np.ndarray] | None = None
     coverage: Coverage | None = None
     spheres: Spheres | None = None
+    part: PartContent | None = None
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     camera: list[tuple[str, str]] = field(default_factory=list)

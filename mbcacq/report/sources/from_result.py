@@ -19,7 +19,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
-from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
+from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, PartContent, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
@@ -78,6 +78,8 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
         found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
         found["motion"] = kept_motion_content(document, pictures)
+    if (merged := run_info.get("merged")) is not None:
+        found["part"] = _part(merged)
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
@@ -111,6 +113,21 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         hashes=list(run_info.get("hashes") or ()),
         plan_yaml=str(run_info.get("plan_yaml") or ""),
         **found,
+    )
+
+
+def _part(merged: Mapping[str, Any]) -> PartContent:
+    """A part, of the content of merged.json."""
+    agreement, cad = merged["agreement"], merged.get("cad")
+    best = list(agreement["rms_mm"])[-1]
+    pairs = agreement["pairs"]
+    return PartContent(
+        sentences=[f"{capitalised(str(one['sentence']))}." for one in (agreement, *([cad] if cad else []))],
+        poses=["{}, {}".format(*pair["poses"]) for pair in pairs],
+        before_mm=np.array([pair["mm"]["before"] for pair in pairs], dtype=float),
+        after_mm=np.array([pair["mm"][best] for pair in pairs], dtype=float),
+        expected_mm=np.array([pair["expected_mm"] for pair in pairs], dtype=float),
+        **({key: np.array(cad["map"][key], dtype=float) for key in ("x_mm", "y_mm", "deviation_mm")} if cad else {}),
     )
 
 
