@@ -31,14 +31,20 @@ class Mover:
         """Move by a waypoint (n,) rad on the way to a pose. Raises as ``go``."""
         self.go(waypoint)
 
-    def go(self, target: np.ndarray) -> RobotState:
-        """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
+    def state(self) -> RobotState:
+        """What the arm does now. Raises what stopped it."""
+        return self._robot.state()
+
+    def go(self, target: np.ndarray, limits: MotionLimits | None = None) -> RobotState:
+        """Move to ``target`` (n,) rad, wait until the measured joints stand there; limits: in place of the run's. Raises what stopped the
+        arm."""
+        limits = limits or self.limits
         check_target(target, self._joint_limits)
         start = self._robot.state()
         travel = target - start.q
         self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
-        self._robot.move_to(target, self.limits)
-        deadline = start.time_s + longest_duration(travel, self.limits, self._arms)
+        self._robot.move_to(target, limits)
+        deadline = start.time_s + longest_duration(travel, limits, self._arms)
         while True:
             self._collector.check()
             state = self._robot.state()

@@ -18,7 +18,8 @@ from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
-from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop
+from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, line_scanner, take_sweep
+from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
@@ -53,6 +54,8 @@ class PoseMeasurement:
         both times, and what the devices raise.
         """
         about = (pose.number, pose.station, pose.phase, pose.step_name)
+        if pose.sweep is not None:
+            return self._swept(pose, about)
         for left in (1, 0):
             self.bus.state("moving")
             reached = self.mover.go(pose.q)
@@ -87,6 +90,44 @@ class PoseMeasurement:
         }
         if not emit_observation(self.bus, pose, found, self.loaded.plan.accept.min_balls, pose.step_name, arm):
             return False
+        self._in_a_row = 0
+        return True
+
+    def _swept(self, pose: PlannedPose, about: tuple[int, str, str, str]) -> bool:
+        """A sweep; its balls are found once all of them are there, with the clock of the scanner."""
+        if not isinstance(self.mover, Mover):
+            raise ConfigError("the run follows an arm that it does not move, which cannot sweep; leave out the steps 'sweep', or follow")
+        scanner = line_scanner(self.devices.scanner)
+        self.bus.state("moving")
+        reached = self.mover.go(pose.q)
+        self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
+        self.bus.state("scanning")
+        self.facts.mark()
+        profiles = take_sweep(pose, self.loaded, scanner, self.bus, self.mover, self.collector)
+        if profiles.lost:
+            self.bus.gap("profiles", f"pose {pose.number}: the scanner lost {profiles.lost} of its profiles", pose.number)
+        if changed := self.facts.since_mark():
+            self._leave_out(pose, changed, "set it back as it was, and resume the run")
+            return False
+        if len(profiles) < LEAST_PROFILES:
+            self._leave_out(pose, f"the scanner sent {len(profiles)} profiles", "look at its trigger, exposure and field of view")
+            return False
+        nothing = np.zeros(0)
+        self.bus.emit(
+            events.PoseDone,
+            *about,
+            q=reached.q,
+            direction=self.mover.direction.copy(),
+            robot_time_s=reached.time_s,
+            ball=nothing,
+            xyz=np.zeros((0, 3)),
+            n_points=nothing,
+            rms_mm=nothing,
+            scatter_mm=np.zeros((0, 3)),
+            n_exposures=1,
+            sensors=self._read_sensors(pose),
+            facts=self.facts.values,
+        )
         self._in_a_row = 0
         return True
 

@@ -27,6 +27,7 @@ MOST_TRIED = 24  # starts
 CIRCLES_TRIED = 30
 GROSS = 30.0  # squared distance of a circle in standard deviations, of three coordinates: one of a million normal ones
 ROUNDS, SETTLED = 60, 1e-3  # of the adjustment; change of its parameters in their standard deviations
+LEAST_OF_A_WAY = 5  # profiles of one way over a sphere
 POOR_MM = 5.0  # standard deviation of the scanner's place, from which it counts as undetermined
 JITTER_UNKNOWN_S = 1e-6  # where the estimation starts
 
@@ -154,6 +155,43 @@ def adjust_in_motion(
         velocity=velocity,
         passing=passing,
     )
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Stretches of ways over a sphere, each as its centre at one moment.
+
+    time_s (G,): of the sensor; xyz (G, 3) mm, in the scanner; covariance (G, 3, 3); profile (G,): index of the one of that moment.
+    """
+
+    time_s: np.ndarray
+    xyz: np.ndarray
+    covariance: np.ndarray
+    profile: np.ndarray
+
+
+def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion, group: np.ndarray) -> Passes:
+    """The profiles of each group (P,), a stretch of one way, together: they share what the arm is off by, as the balls of one scan do.
+
+    The sphere moves in the scanner as the arm does, so all circles of a stretch say one place at its middle. What the hand-eye transform
+    may still be off by cancels in it.
+    """
+    rows, _, passing, s, _, known, by_place = _linearised(motion, seen, _Point(found.T_hand_eye, found.spheres, found.clock))
+    V, _ = _covariances(seen, passing, by_place, np.array([found.clock.jitter_s**2, found.pose_sigma_mm**2]))
+    W = np.linalg.inv(V)
+    used, time, xyz, covariance, first = found.used & known, [], [], [], []
+    for g in np.unique(group[used]):
+        of = np.flatnonzero(used & (group == g))
+        if len(of) < LEAST_OF_A_WAY:
+            continue
+        C = np.linalg.inv(np.einsum("pij,pik,pkl->jl", by_place[of], W[of], by_place[of]))
+        off = -C @ np.einsum("pij,pik,pk->j", by_place[of], W[of], rows[of])
+        middle = of[np.argmin(np.abs(s[of, 1] - s[of, 1].mean()))]
+        time.append(seen.time_s[middle])
+        xyz.append(s[middle] + off)
+        covariance.append(C)
+        first.append(middle)
+    return Passes(np.array(time), np.array(xyz).reshape(-1, 3), np.array(covariance).reshape(-1, 3, 3), np.array(first, dtype=int))
 
 
 def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotion:

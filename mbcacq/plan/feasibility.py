@@ -83,9 +83,10 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
     """Limits and their margin, wrist, elbow and shoulder singularities."""
     robot = loaded.cell.robot
     for pose in poses:
-        room = np.minimum(pose.q - robot.limits[:, 0], robot.limits[:, 1] - pose.q)
+        ends = np.array([pose.q if pose.sweep is None else pose.sweep, pose.q])
+        room = np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends).min(axis=0)
         axis = int(np.argmin(room))
-        angle = np.degrees(pose.q[axis])
+        angle = np.degrees(ends[np.argmin(np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends)[:, axis]), axis])
         low, high = np.degrees(robot.limits[axis])
         limits = f"its limits {low:g}..{high:g}°"
         if room[axis] < 0:
@@ -164,7 +165,7 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
 def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """The same joint position twice at a station: the second one adds little."""
     taken: list[tuple[str, np.ndarray]] = []
-    for pose in poses:
+    for pose in (p for p in poses if p.sweep is None):
         if any(s == pose.station and np.abs(q - pose.q).max() < loaded.planning.repeated_pose for s, q in taken):
             yield finding(loaded, pose, "warning", "repeated", "this pose was taken already at this station; take another view")
         taken.append((pose.station, pose.q))

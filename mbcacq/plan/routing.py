@@ -84,6 +84,8 @@ def find_paths(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Routes:
         if approach is None:
             start = router.home if before is None or before.station != pose.station else before.q
             obstructed.append(Obstructed(pose.number, router.obstruction(start, pose.q, pose.station)))
+        if pose.sweep is not None and not router.sweeps_freely(pose):
+            obstructed.append(Obstructed(pose.number, router.obstruction(pose.q, pose.sweep, pose.station)))
         transits.append(Transit(retract if retract is not None else [router.home], approach or []))
     if poses and router.retract(poses[-1]) is None:
         closest = router.obstruction(poses[-1].q, router.home, poses[-1].station)
@@ -140,6 +142,10 @@ class Router:
     def approach(self, pose: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from home to a pose, home left out."""
         return self._first_free(self.home, pose.q, self._straight_or_retracted(pose), pose.station)
+
+    def sweeps_freely(self, pose: PlannedPose) -> bool:
+        """Whether nothing comes too close on the straight joint motion of a sweep."""
+        return pose.sweep is None or self._free([pose.q, pose.sweep], pose.station)
 
     def obstruction(self, start: np.ndarray, end: np.ndarray, station: str) -> Closest:
         """What is too close on the straight motion, or, where that is free, closest at its end."""

@@ -157,6 +157,18 @@ class Look(BallStep):
     balls: Literal["all", "each"] | tuple[Whole, ...] = "all"
 
 
+class Sweep(BallStep):
+    """Let a line scanner's laser plane cross single balls, forth and back, while the arm moves: from every view, in every direction."""
+
+    do: Literal["sweep"]
+    stations: tuple[str | int, ...] = Field(min_length=1)
+    views: tuple[View, ...] = Field(min_length=1)
+    balls: Literal["each"] | tuple[Whole, ...] = "each"
+    directions_deg: tuple[Angle, ...] = Field(default=(0.0,), min_length=1)  # of the line, from across the laser line towards along it
+    length_mm: float = Field(gt=0, le=2000)  # of each line; half a ball more than its diameter lets the speed settle
+    speed_mm_s: float = Field(gt=0, le=2000)  # profile rate times the spacing that is wanted
+
+
 class Taught(BallStep):
     """Joint positions as taught."""
 
@@ -179,7 +191,7 @@ class ScanPart(Step):
     views: tuple[PartView, ...] = Field(min_length=1)
 
 
-AnyStep = Annotated[Translate | Look | Taught | ScanPart, Field(discriminator="do")]
+AnyStep = Annotated[Translate | Look | Sweep | Taught | ScanPart, Field(discriminator="do")]
 
 
 class Obstacle(Strict):

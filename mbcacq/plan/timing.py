@@ -11,8 +11,9 @@ import ruckig
 
 from mbcacq.devices import MotionLimits
 from mbcacq.errors import ConfigError
-from mbcacq.plan.motion_limits import motion_limits
+from mbcacq.plan.motion_limits import motion_limits, sweep_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.schema import Sweep
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,18 @@ def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequenc
     """Time of a whole run, from home to home, at the plan's own speed."""
     limits, plan = motion_limits(loaded), loaded.plan
     stops = stopping_points(loaded, poses, transits)
-    motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops))
+    motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops)) + sum(sweep_time(loaded, pose) for pose in poses)
     changes = sum(a.station != b.station for a, b in pairwise(poses))
-    exposures = sum(p.exposures for p in poses)
+    exposures = sum(p.exposures for p in poses if p.sweep is None)
     return Duration(motion, (len(stops) - 1) * plan.robot.settle_s, exposures * plan.scanner.scan_time_s, changes)
+
+
+def sweep_time(loaded: LoadedPlan, pose: PlannedPose) -> float:
+    """s of a sweep forth and back; 0 for a pose at rest."""
+    step = loaded.plan.steps[pose.step]
+    if pose.sweep is None or not isinstance(step, Sweep):
+        return 0.0
+    return 2 * motion_time(pose.q, pose.sweep, sweep_limits(loaded, pose.q, pose.sweep, step.speed_mm_s))
 
 
 def stopping_points(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:

@@ -104,7 +104,7 @@ def costs_of(loaded: LoadedPlan, measured: Observations | None, options: Adaptiv
 def moved_artefacts(measured: Observations) -> tuple[int, dict[str, str]]:
     """How often artefacts were moved while a recording was made, and the station at which each stands after it."""
     moves, at = 0, dict[str, str]()
-    for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
+    for k in measured.measuring_order:
         station = measured.cell.stations[measured.station[k]]
         moves += at.get(station.artefact) != station.id
         at[station.artefact] = station.id

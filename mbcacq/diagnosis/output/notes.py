@@ -246,8 +246,7 @@ def confounded_pauses(obs: Observations, effects: Sequence[EffectFound]) -> list
     moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
     out = []
     for after, pause in pauses(obs):
-        assert obs.time_s is not None, "a recording that pauses has times"
-        rank = {int(n): r for r, n in enumerate(obs.pose_id[np.argsort(obs.time_s, kind="stable")])}
+        rank = {int(n): r for r, n in enumerate(obs.pose_id[obs.measuring_order])}
         near = [m for m, std in moments if abs(rank.get(round(m), np.inf) - rank[after]) <= max(2 * std, 5.0)]
         if near:
             out.append(
@@ -263,7 +262,7 @@ def pauses(obs: Observations) -> list[tuple[int, str]]:
     """Pauses of a recording: number of the pose after each, and the pause in words with the temperatures that changed across it."""
     if obs.time_s is None:
         return []
-    order = np.argsort(obs.time_s, kind="stable")
+    order = obs.measuring_order
     out = []
     for a, b in zip(order[:-1], order[1:], strict=True):
         if (pause := obs.time_s[b] - obs.time_s[a]) > PAUSE_S:

