@@ -45,7 +45,7 @@ class GocatorSession:
         self.info: SystemInfo | None = None
         self.configuration: Configuration | None = None
         self.alignment: Alignment | None = None
-        self.running = False
+        self.running, self.exposure = False, "as set"
         self._settings = threading.Lock()
 
     def open(self) -> None:
@@ -113,7 +113,7 @@ class GocatorSession:
         """How the sensor is set up, for the records. The hash is of the live configuration as it would be written back."""
         assert self.configuration is not None
         return {
-            "job": self._job_name(),
+            "job": self.job(),
             "alignment": str(self.alignment),
             **self.configuration.scan_settings(),
             "configuration_sha256": hashlib.sha256(self.configuration.values_only()).hexdigest(),
@@ -186,20 +186,21 @@ class GocatorSession:
         if mode != (PROFILE if streams else SURFACE):
             wanted = "Profile, or another mode in the scanner's options" if streams else "Surface"
             raise ConfigError(
-                f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode {wanted}"
+                f"the Gocator's job '{self.job()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode {wanted}"
             )
         if streams and configuration.trigger_source == SOFTWARE:
             raise ConfigError(
-                f"the Gocator's job '{self._job_name()}' is triggered by software, one profile at a time; choose Time, Encoder or Input"
+                f"the Gocator's job '{self.job()}' is triggered by software, one profile at a time; choose Time, Encoder or Input"
             )
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
             source = TRIGGER_SOURCES.get(configuration.trigger_source, configuration.trigger_source)
             raise ConfigError(
-                f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
+                f"the Gocator's job '{self.job()}' is triggered by '{source}'; choose Software as trigger source, "
                 "or the scanner option mode: snapshot"
             )
 
-    def _job_name(self) -> str:
+    def job(self) -> str:
+        """Name of the job that is loaded now."""
         try:
             return self.files.loaded_job()
         except (SensorRefused, MbcacqError):

@@ -15,6 +15,7 @@ from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
+from mbcacq.devices.motion_target import joint_target
 from mbcacq.devices.plan_options import DriverOptions, parse_options
 from mbcacq.devices.protocols import (
     Cycles,
@@ -86,6 +87,7 @@ __all__ = [
     "has_ended",
     "is_host",
     "is_interactive",
+    "joint_target",
     "kill",
     "load_driver",
     "open_tcp",
