@@ -8,11 +8,11 @@ from math import factorial
 from typing import Any
 
 import numpy as np
+from likelihood_gain import best_hyper, independent_values
 from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr, ndtri
 
 from mbcacq.challenge import simulated_cells
-from mbcacq.challenge.likelihood_gain import best_hyper, independent_values
 from mbcacq.challenge.oracle import true_members
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario

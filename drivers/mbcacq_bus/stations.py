@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import Field as Option
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, DriverOptions, Field
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, DriverOptions, Fact, Field
 from mbcacq_bus.idle import IdlePoll
 
 
@@ -57,9 +57,11 @@ class StationPositioner(ContextDevice, ABC):
         self, model: str, options: Any, link: Any, harmless: Callable[[], object], unit: str, flag_delay_s: float, stopped: threading.Event
     ) -> None:
         self._model, self._options, self._link, self._unit, self._flag_delay_s = model, options, link, unit, flag_delay_s
-        self._idle = IdlePoll(harmless, lambda: link.used, options.idle_poll_s if options.has_connection else 0.0)
+        self._idle = IdlePoll(lambda: self._look_after(harmless), lambda: link.used, options.idle_poll_s if options.has_connection else 0.0)
         self._targets = {str(k): v for k, v in options.stations.items()}
         self._stopped = stopped
+        self._standing_at: float | None = None  # the position where it should stand now
+        self._facts: tuple[Fact, ...] = ()
 
     @abstractmethod
     def _begin(self, station: str, target: float) -> None:
@@ -90,11 +92,24 @@ class StationPositioner(ContextDevice, ABC):
     def describe(self) -> Description:
         return Description("positioner", self._model, (Field("position", self._unit, meaning="commanded position of the artefact"),))
 
+    def facts(self) -> tuple[Fact, ...]:
+        """Whether it still stands where it was sent, as it says whenever its connection was idle for a while."""
+        return self._facts
+
+    def _look_after(self, harmless: Callable[[], object]) -> None:
+        if (target := self._standing_at) is None:
+            harmless()
+            return
+        stands = self._says_arrived() and ((position := self._position()) is None or abs(position - target) <= self._options.tolerance)
+        if self._standing_at is target:  # it was not sent elsewhere meanwhile
+            self._facts = (Fact("in position", "yes" if stands else "no"),)
+
     def go_to(self, station: str, prompt: str) -> None:
         """Raises ConfigError for an unknown station, DeviceTimeout, DeviceFault, ProtocolError, Aborted after ``stop``."""
         if station not in self._targets:
             raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
         self._stopped.clear()
+        self._standing_at = None
         try:
             self._begin(station, self._targets[station])
             self._wait(station, self._targets[station])
@@ -104,6 +119,7 @@ class StationPositioner(ContextDevice, ABC):
             raise Aborted(f"stopped on the way to station {station}") from error  # a request gave way to the one that stops
         if self._stopped.wait(self._options.settle_s):
             raise Aborted(f"stopped on the way to station {station}")
+        self._standing_at, self._facts = self._targets[station], (Fact("in position", "yes"),)
 
     def stop(self) -> None:
         """Also halts the motion where the plan says how."""

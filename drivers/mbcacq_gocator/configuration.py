@@ -18,7 +18,7 @@ from mbcacq_gocator import xmlfile
 TRIGGER_SOURCES = {0: "time", 1: "encoder", 2: "input", 3: "software"}
 SCAN_MODES = {0: "video", 1: "range", 2: "profile", 3: "surface"}
 EXPOSURE_MODES: dict[float, str] = {0: "single", 1: "multiple", 2: "dynamic"}
-SOFTWARE, SURFACE, SINGLE = 3, 3, 0
+SOFTWARE, PROFILE, SURFACE, SINGLE = 3, 2, 3, 0
 _DEVICE = "Setup/Devices/Device[@role='0']"
 _SCAN_SETTINGS = {
     "scan_mode": "ScanMode",

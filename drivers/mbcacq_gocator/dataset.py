@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mbcacq.devices import ProtocolError
 from mbcacq_gocator import layouts
 from mbcacq_gocator.decode import ArrayMessage, Measurement, Stamp, Unknown, decode
@@ -20,6 +22,11 @@ class DataSet:
     arrays: list[ArrayMessage] = field(default_factory=list)
     measurements: dict[str, float] = field(default_factory=dict)
     skipped: set[int] = field(default_factory=set)
+
+    @property
+    def stamps(self) -> np.ndarray | None:
+        """(k, 5) as ``Stamp.every``."""
+        return None if self.stamp is None else self.stamp.every
 
     @property
     def contents(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import prod
 
 import numpy as np
@@ -21,7 +21,11 @@ TICKS_PER_US = 1.024  # stamp value = microseconds * 1.024
 
 @dataclass(frozen=True)
 class Stamp:
-    """When and where in the encoder's travel a frame was exposed. ``timestamp`` and the encoders are raw ticks."""
+    """When and where in the encoder's travel a frame was exposed. ``timestamp`` and the encoders are raw ticks.
+
+    every: (k, 5) int64 view, frame, timestamp, encoder, encoder_at_z and status of each where one message has several; the first is the
+    stamp itself.
+    """
 
     frame: int
     timestamp: int
@@ -30,6 +34,7 @@ class Stamp:
     status: int
     serial: int
     ptp_us: int | None
+    every: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     @property
     def time_s(self) -> float:
@@ -136,7 +141,8 @@ def _stamp(view: memoryview) -> Stamp:
     ptp = None
     if size >= layouts.STAMP_BODY.size + layouts.STAMP_PTP.size:
         (ptp,) = layouts.STAMP_PTP.unpack_from(view, start + layouts.STAMP_BODY.size)
-    return Stamp(frame, timestamp, encoder, encoder_at_z, status, serial, ptp)
+    every = np.ndarray((count, 5), "<i8", view, start, (size, 8))
+    return Stamp(frame, timestamp, encoder, encoder_at_z, status, serial, ptp, every=every)
 
 
 def _measurement(identifier: int, view: memoryview, at: int, count: int) -> Measurement:

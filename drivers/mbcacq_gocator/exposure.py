@@ -12,6 +12,7 @@ from mbcacq_gocator.decode import ArrayMessage, Stamp
 from mbcacq_gocator.points import intensity_of, surface_points
 from mbcacq_gocator.selection import scan_intensity, scan_surface
 from mbcacq_gocator.session import GocatorSession
+from mbcacq_gocator.snapshot_scanner import exposure_reported
 
 
 def expose(session: GocatorSession, exposure_us: float | None) -> Scan:
@@ -75,7 +76,9 @@ def _explained(session: GocatorSession, error: DeviceTimeout, stamp_only: int, e
 
 def _scan(session: GocatorSession, data: DataSet, stamp: Stamp, message: ArrayMessage) -> Scan:
     assert session.configuration is not None
-    grey = scan_intensity(data.arrays, message)
+    grey, wanted_us = scan_intensity(data.arrays, message), session.configuration.exposure_us
+    reported_us = message.attributes.get("exposure", 0) / 1000  # ns
+    session.exposure = exposure_reported(reported_us, wanted_us)
     surface = surface_points(message)
     return Scan(
         points=surface.points,
@@ -84,7 +87,7 @@ def _scan(session: GocatorSession, data: DataSet, stamp: Stamp, message: ArrayMe
         intensity=None if grey is None else intensity_of(grey, surface),
         time_s=stamp.time_s,
         frame=stamp.frame,
-        exposure_us=session.configuration.exposure_us or 0.0,
+        exposure_us=reported_us or wanted_us or 0.0,
         measurements=data.measurements,
         health=session.health.values(),
     )

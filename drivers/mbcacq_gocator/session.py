@@ -11,7 +11,7 @@ from pathlib import Path
 from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
-from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
+from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
@@ -45,7 +45,7 @@ class GocatorSession:
         self.info: SystemInfo | None = None
         self.configuration: Configuration | None = None
         self.alignment: Alignment | None = None
-        self.running = False
+        self.running, self.exposure = False, "as set"
         self._settings = threading.Lock()
 
     def open(self) -> None:
@@ -78,6 +78,16 @@ class GocatorSession:
         """Whether the sensor has closed a connection since it was used, e.g. as idle."""
         return self.control.has_ended or has_ended(self._data)
 
+    @property
+    def data_socket(self) -> socket.socket | None:
+        """The connection of the data channel, to wait at; None once it is closed."""
+        return self._data
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether nobody has stopped what waits for the sensor."""
+        return not self._cancelled()
+
     def close(self) -> None:
         self.control.close()
         self.health.close()
@@ -103,7 +113,7 @@ class GocatorSession:
         """How the sensor is set up, for the records. The hash is of the live configuration as it would be written back."""
         assert self.configuration is not None
         return {
-            "job": self._job_name(),
+            "job": self.job(),
             "alignment": str(self.alignment),
             **self.configuration.scan_settings(),
             "configuration_sha256": hashlib.sha256(self.configuration.values_only()).hexdigest(),
@@ -172,18 +182,25 @@ class GocatorSession:
 
     def _check_job(self, configuration: Configuration) -> None:
         (mode,) = unpack("<i", self.control.request(commands.SCAN_MODE), "scan mode")
-        if mode != SURFACE:
+        streams = self.options.mode == "profile"
+        if mode != (PROFILE if streams else SURFACE):
+            wanted = "Profile, or another mode in the scanner's options" if streams else "Surface"
             raise ConfigError(
-                f"the Gocator's job '{self._job_name()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode Surface"
+                f"the Gocator's job '{self.job()}' scans in mode '{SCAN_MODES.get(mode, mode)}'; choose the scan mode {wanted}"
+            )
+        if streams and configuration.trigger_source == SOFTWARE:
+            raise ConfigError(
+                f"the Gocator's job '{self.job()}' is triggered by software, one profile at a time; choose Time, Encoder or Input"
             )
         if self.options.mode == "trigger" and configuration.trigger_source != SOFTWARE:
             source = TRIGGER_SOURCES.get(configuration.trigger_source, configuration.trigger_source)
             raise ConfigError(
-                f"the Gocator's job '{self._job_name()}' is triggered by '{source}'; choose Software as trigger source, "
+                f"the Gocator's job '{self.job()}' is triggered by '{source}'; choose Software as trigger source, "
                 "or the scanner option mode: snapshot"
             )
 
-    def _job_name(self) -> str:
+    def job(self) -> str:
+        """Name of the job that is loaded now."""
         try:
             return self.files.loaded_job()
         except (SensorRefused, MbcacqError):

@@ -6,15 +6,22 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
 
-from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, IdentityError, ProtocolError, Scan
+from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, Fact, IdentityError, ProtocolError, Scan
 from mbcacq_gocator.named_errors import named
 
 _BACKOFF_S = 0.2
+FINEST_US = 0.51  # a sensor may keep whole microseconds
 RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
 
 
 class Session(Protocol):
-    """A connection to a sensor, with what has been agreed over it."""
+    """A connection to a sensor, with what has been agreed over it. exposure: see ``exposure_reported``."""
+
+    exposure: str
+
+    def job(self) -> str:
+        """Name of the job that is loaded now."""
+        ...
 
     @property
     def has_ended(self) -> bool: ...
@@ -23,6 +30,13 @@ class Session(Protocol):
 
 
 S = TypeVar("S", bound=Session)
+
+
+def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
+    """'as set', or what the sensor says of an exposure (us; 0 for nothing) that somebody else has changed."""
+    if wanted_us is None or not reported_us or abs(reported_us - wanted_us) <= FINEST_US:
+        return "as set"
+    return f"{reported_us:g} us instead of {wanted_us:g} us"
 
 
 class SnapshotScanner(ContextDevice, ABC, Generic[S]):
@@ -35,6 +49,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         self._one_capture = threading.Lock()
         self._session: S | None = None
         self._wanted = False
+        self._facts: tuple[Fact, ...] = ()
 
     @abstractmethod
     def _opened(self) -> S:
@@ -62,6 +77,15 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def describe(self) -> Description:
         return self._description
 
+    def facts(self) -> tuple[Fact, ...]:
+        """As they were at the last exposure."""
+        return self._facts
+
+    def _read_facts(self, session: S) -> tuple[Fact, ...]:
+        about = self._description
+        identity = Fact("serial number", about.serial), Fact("firmware", about.firmware, critical=False)
+        return Fact("job", session.job()), Fact("exposure", session.exposure), *identity
+
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say. Connects anew after a dropped connection, a few times.
 
@@ -79,7 +103,9 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
                 try:
                     session = self._connect()
                     with named(self.name):
-                        return self._expose(session)
+                        scan = self._expose(session)
+                        self._facts = self._read_facts(session)
+                        return scan
                 except IdentityError:
                     self._drop()
                     raise
@@ -101,6 +127,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         if self._session is None:
             with named(self.name):
                 self._session = self._opened()
+                self._facts = self._read_facts(self._session)
         return self._session
 
     def _drop(self) -> None:

@@ -25,6 +25,7 @@ from mbcacq.devices import (
     ProtocolError,
     RobotState,
     SafetyStop,
+    joint_target,
 )
 from mbcacq_ur.link import RtdeLink, Values
 from mbcacq_ur.options import AXES, UrOptions, parse
@@ -136,15 +137,7 @@ class UrRtdeRobot(ContextDevice):
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
         """Start a movej to q (6,) rad, at the speed and acceleration of the slowest axis allowed. Raises SafetyStop outside the limits."""
-        target = np.asarray(q, dtype=float)
-        if target.shape != (AXES,):
-            raise ConfigError(f"{self._name}: a target has {AXES} axes, not {np.shape(q)}")
-        outside = ~np.isfinite(target) | (target < self._limits[:, 0] - 1e-9) | (target > self._limits[:, 1] + 1e-9)
-        if outside.any():
-            axis = int(np.argmax(outside))
-            low, high = np.degrees(self._limits[axis])
-            angle = np.degrees(target[axis])
-            raise SafetyStop(f"{self._name}: A{axis + 1} would go to {angle:.3f}°, beyond its limits {low:g}..{high:g}°; it stays")
+        target = joint_target(self._name, q, self._limits)
         speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
         if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
             raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")

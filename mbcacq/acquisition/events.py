@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq.devices import Cycles, Description, Scan
+from mbcacq.devices import Cycles, Description, Profiles, Scan
 
 OPERATOR = "operator"  # source of a message that a person at the arm waits for
 
@@ -118,6 +118,21 @@ class CentresFound(Event):
     xyz: np.ndarray
     n_points: np.ndarray
     rms_mm: np.ndarray
+
+
+@dataclass(frozen=True)
+class SweepTaken(Event):
+    """Profiles of a sweep over one ball (its certificate id) that began and ended at a pose.
+
+    began_s: the controller's clock just before the scanner was started. expected: (3,) mm, where the ball was expected in the scanner's
+    frame, in the middle of the sweep.
+    """
+
+    pose: int
+    ball: int
+    began_s: float
+    expected: np.ndarray
+    profiles: Profiles
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
 from mbcacq.model.cell import Cell
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
+from mbcacq.quantities import in_degrees
 
 POLL_S = 0.003
 MOVED = 1e-4  # rad; less is no motion that could bring a gear to its other flank
@@ -31,14 +32,20 @@ class Mover:
         """Move by a waypoint (n,) rad on the way to a pose. Raises as ``go``."""
         self.go(waypoint)
 
-    def go(self, target: np.ndarray) -> RobotState:
-        """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
+    def state(self) -> RobotState:
+        """What the arm does now. Raises what stopped it."""
+        return self._robot.state()
+
+    def go(self, target: np.ndarray, limits: MotionLimits | None = None) -> RobotState:
+        """Move to ``target`` (n,) rad, wait until the measured joints stand there; limits: in place of the run's. Raises what stopped the
+        arm."""
+        limits = limits or self.limits
         check_target(target, self._joint_limits)
         start = self._robot.state()
         travel = target - start.q
         self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)
-        self._robot.move_to(target, self.limits)
-        deadline = start.time_s + longest_duration(travel, self.limits, self._arms)
+        self._robot.move_to(target, limits)
+        deadline = start.time_s + longest_duration(travel, limits, self._arms)
         while True:
             self._collector.check()
             state = self._robot.state()
@@ -46,7 +53,7 @@ class Mover:
                 return state
             if state.time_s > deadline:
                 self._robot.stop()
-                away = np.degrees(np.max(np.abs(target - state.q)))
+                away = in_degrees(np.max(np.abs(target - state.q)))
                 raise SafetyStop(
                     f"the arm did not arrive in time ({away:.3f}° away) and was stopped; is its path free, is the override 100 %?"
                 )

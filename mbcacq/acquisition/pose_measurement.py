@@ -18,8 +18,10 @@ from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
-from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop
+from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, line_scanner, take_sweep
+from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.quantities import in_degrees
 
 BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
 
@@ -53,6 +55,8 @@ class PoseMeasurement:
         both times, and what the devices raise.
         """
         about = (pose.number, pose.station, pose.phase, pose.step_name)
+        if pose.sweep is not None:
+            return self._swept(pose, about)
         for left in (1, 0):
             self.bus.state("moving")
             reached = self.mover.go(pose.q)
@@ -90,6 +94,44 @@ class PoseMeasurement:
         self._in_a_row = 0
         return True
 
+    def _swept(self, pose: PlannedPose, about: tuple[int, str, str, str]) -> bool:
+        """A sweep; its balls are found once all of them are there, with the clock of the scanner."""
+        if not isinstance(self.mover, Mover):
+            raise ConfigError("the run follows an arm that it does not move, which cannot sweep; leave out the steps 'sweep', or follow")
+        scanner = line_scanner(self.devices.scanner)
+        self.bus.state("moving")
+        reached = self.mover.go(pose.q)
+        self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
+        self.bus.state("scanning")
+        self.facts.mark()
+        profiles = take_sweep(pose, self.loaded, scanner, self.bus, self.mover, self.collector)
+        if profiles.lost:
+            self.bus.gap("profiles", f"pose {pose.number}: the scanner lost {profiles.lost} of its profiles", pose.number)
+        if changed := self.facts.since_mark():
+            self._leave_out(pose, changed, "set it back as it was, and resume the run")
+            return False
+        if len(profiles) < LEAST_PROFILES:
+            self._leave_out(pose, f"the scanner sent {len(profiles)} profiles", "look at its trigger, exposure and field of view")
+            return False
+        nothing = np.zeros(0)
+        self.bus.emit(
+            events.PoseDone,
+            *about,
+            q=reached.q,
+            direction=self.mover.direction.copy(),
+            robot_time_s=reached.time_s,
+            ball=nothing,
+            xyz=np.zeros((0, 3)),
+            n_points=nothing,
+            rms_mm=nothing,
+            scatter_mm=np.zeros((0, 3)),
+            n_exposures=1,
+            sensors=self._read_sensors(pose),
+            facts=self.facts.values,
+        )
+        self._in_a_row = 0
+        return True
+
     def _leave_out(self, pose: PlannedPose, contradiction: str, remedy: str) -> None:
         """Name a pose whose exposures failed the checks, or whose devices were set up otherwise.
 
@@ -113,9 +155,9 @@ class PoseMeasurement:
         if moved <= limit and away <= limit:
             return True
         if moved <= limit:
-            text = f"the arm stood {np.degrees(away):.3f}° from pose {pose.number} during its exposures"
+            text = f"the arm stood {in_degrees(away):.3f}° from pose {pose.number} during its exposures"
         else:
-            text = f"the arm moved by {np.degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
+            text = f"the arm moved by {in_degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
         if not left:
             raise SafetyStop(f"{text}, twice; its brakes or its controller do not hold it, so the run was ended")
         self.bus.message("warning", f"{text}; it is measured again")

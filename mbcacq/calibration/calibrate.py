@@ -21,6 +21,7 @@ from mbcacq.calibration.published_cell import (
     cell_of,
     with_accident,
     with_length_uncertainty,
+    with_loads,
     with_nominal_arm,
     with_notes_on_poses,
 )
@@ -33,7 +34,7 @@ from mbcacq.errors import CalibrationError, ContradictionError, MbcacqError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, with_random_links
 from mbcacq.estimation.options import CalibrationOptions, select_phases, without_copies
 from mbcacq.estimation.solver import one_thread
-from mbcacq.estimation.terms import Term, shared_errors
+from mbcacq.estimation.terms import Term, own_errors
 from mbcacq.model.observations import Observations
 
 
@@ -45,7 +46,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     try:
         with one_thread(), likely_cause_named(observations):
             found = with_notes_on_poses(_calibrate(observations, options or CalibrationOptions()), observations)
-            return replace(found, own_adjustment=None, calibrate_again=calibrate_with_effects)
+            return replace(with_loads(found), own_adjustment=None, calibrate_again=calibrate_with_effects)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
@@ -57,7 +58,8 @@ def calibrate_with_effects(
     observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
 ) -> CalibratedCell:
     """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
-    return replace(refitted(observations, options, model, calibrate, hold=hold), calibrate_again=calibrate_with_effects)
+    found = refitted(observations, options, model, calibrate, hold=hold)
+    return replace(with_loads(found), calibrate_again=calibrate_with_effects)
 
 
 def effects_fitted_with_the_cell(observations: Observations, options: CalibrationOptions, model: EffectModel) -> EffectModel | None:
@@ -72,7 +74,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return _staged(observations, options)
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
-    options = with_clock_term(obs, replace(options, terms=(*options.terms, *shared_errors(obs))))
+    options = with_clock_term(obs, replace(options, terms=(*options.terms, *own_errors(obs))))
     adjusted = _adjusted(obs, options)
     if options.kinematics:
         return with_clock(_arm_and_hand_eye(cell_of(with_random_links(adjusted))))

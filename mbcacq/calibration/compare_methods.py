@@ -26,10 +26,10 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import fixed
+from mbcacq.quantities import DEGREE, fixed
 
 FOLDS = 5
-SAME_POSTURE = np.radians(0.1)
+SAME_POSTURE = 0.1 * DEGREE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,21 +178,27 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
     return found
 
 
-LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
+LEAST_SECOND_ROTATION = 2.0 * DEGREE  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
 LEAST_POSES = 3
 TOO_FEW = "needs three scans of one station that show a target's pose or three balls each, not all on one line"
 
 
 def nominal(obs: Observations) -> CellState:
     """Nothing identified: nominal arm, hand-eye as first guessed, stations where the points are."""
+    if obs.cell.length_scale:
+        raise CalibrationError("needs places of the target, and these are distances")
     nowhere = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     return with_all_stations(obs, CellState(obs.cell.robot.chain, obs.cell.T_flange_scanner, nowhere, obs.cell.ball_centres))
 
 
 def hand_eye_only(obs: Observations) -> CellState | CalibratedCell:
     """Nominal arm; hand-eye and stations by maximum likelihood."""
-    cell = calibrate(obs, CalibrationOptions(kinematics=False))
-    return cell if obs.shared is not None else cell.state
+    return _with_instrument(obs, calibrate(obs, CalibrationOptions(kinematics=False)))
+
+
+def _with_instrument(obs: Observations, cell: CalibratedCell) -> CellState | CalibratedCell:
+    """The cell where errors of the instrument were estimated with it, else its geometry."""
+    return cell if obs.shared is not None or obs.cell.length_scale else cell.state
 
 
 def by_motions(name: str) -> Callable[[Observations], CellState]:
@@ -296,9 +302,9 @@ def maximum_likelihood(obs: Observations) -> CalibratedCell:
     return calibrate(obs)
 
 
-def geometry_alone(obs: Observations) -> CellState:
+def geometry_alone(obs: Observations) -> CellState | CalibratedCell:
     """All parameters by maximum likelihood; whatever else the arm does counts as noise."""
-    return calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)).state
+    return _with_instrument(obs, calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)))
 
 
 OF_LINKS = ("paper", "paper (four balls)", "paper (all pairs)", "distances only", "geometry alone", "maximum likelihood")

@@ -146,10 +146,7 @@ def rejected_poses(adjustment: Adjustment) -> list[int]:
 
 def at_allowed_sizes(lineariser: Lineariser) -> Lineariser:
     """The lineariser with link errors of the allowed size in place of the estimated one."""
-    layout = parameters.build(lineariser.obs, lineariser.options)
-    for name, why in lineariser.layout.held.items():
-        if name not in layout.held:
-            layout = layout.hold(name, why)
+    layout = parameters.build(lineariser.obs, lineariser.options).holding(lineariser.layout.held)
     return lineariser.with_layout(layout.resized(ORDINARY_LINKS))
 
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
+from mbcacq.quantities import DEGREE
 
 MOST_MOTIONS = 5000  # every two of a hundred poses
-LEAST_TURN = np.radians(0.1)  # a motion that turns less says nothing of an axis
+LEAST_TURN = 0.1 * DEGREE  # a motion that turns less says nothing of an axis
 
 Motions = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -95,15 +96,11 @@ def daniilidis(A: np.ndarray, B: np.ndarray) -> np.ndarray:
 
 def andreff(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """X (4, 4) after Andreff, Horaud and Espiau (1999): linear in the entries of X."""
-    RA, RB, tA, tB = A[:, :3, :3], B[:, :3, :3], A[:, :3, 3], B[:, :3, 3]
-    unit, K = np.eye(3), len(A)
-    size = max(float(np.abs(tB).max(initial=0.0)), 1e-9)  # lengths as shares of the largest, so that both kinds of rows weigh alike
+    RA, RB, K = A[:, :3, :3], B[:, :3, :3], len(A)
     M = np.zeros((K, 12, 12))
     M[:, :9, :9] = np.eye(9) - np.einsum("kij,klm->kiljm", RA, RB).reshape(K, 9, 9)
-    M[:, 9:, :9] = np.einsum("ij,kl->kijl", unit, tB / size).reshape(K, 3, 9)
-    M[:, 9:, 9:] = unit - RA
-    right = np.concatenate([np.zeros((K, 9)), tA / size], axis=1)
-    x = np.linalg.lstsq(M.reshape(-1, 12), right.ravel(), rcond=None)[0]
+    M[:, 9:, 9:] = np.eye(3) - RA
+    x = _solved(A, B, M, slice(0, 9))
     return _with_translation(A, B, se3.nearest_rotation(x[:9].reshape(3, 3)))
 
 
@@ -118,18 +115,24 @@ def shah(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def li(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """X and Z (4, 4) of A X = Z B after Li, Wang and Wu (2010): linear in the entries of both."""
-    RA, RB, tA, tB = A[:, :3, :3], B[:, :3, :3], A[:, :3, 3], B[:, :3, 3]
-    K, unit = len(A), np.eye(3)
-    size = max(float(np.abs(tB).max(initial=0.0)), 1e-9)
+    RA, RB, K, unit = A[:, :3, :3], B[:, :3, :3], len(A), np.eye(3)
     M = np.zeros((K, 12, 24))
     M[:, :9, :9] = np.einsum("kij,lm->kiljm", RA, unit).reshape(K, 9, 9)
     M[:, :9, 9:18] = -np.einsum("ij,kml->kiljm", unit, RB).reshape(K, 9, 9)
-    M[:, 9:, 9:18] = np.einsum("ij,kl->kijl", unit, tB / size).reshape(K, 3, 9)
     M[:, 9:, 18:21], M[:, 9:, 21:] = -RA, unit
-    right = np.concatenate([np.zeros((K, 9)), tA / size], axis=1)
-    x = np.linalg.lstsq(M.reshape(-1, 24), right.ravel(), rcond=None)[0]
+    x = _solved(A, B, M, slice(9, 18))
     X, Z = (se3.nearest_rotation(x[part].reshape(3, 3)) for part in (slice(0, 9), slice(9, 18)))
     return _both_translations(A, B, X, Z)
+
+
+def _solved(A: np.ndarray, B: np.ndarray, M: np.ndarray, turning: slice) -> np.ndarray:
+    """Solution of nine rows of rotations and three of translations for each motion, M (K, 12, u). turning: unknowns of the rotation that
+    turns t_B. Lengths are shares of the largest, so that both kinds of rows weigh alike."""
+    tA, tB, K = A[:, :3, 3], B[:, :3, 3], len(A)
+    size = max(float(np.abs(tB).max(initial=0.0)), 1e-9)
+    M[:, 9:, turning] = np.einsum("ij,kl->kijl", np.eye(3), tB / size).reshape(K, 3, 9)
+    right = np.concatenate([np.zeros((K, 9)), tA / size], axis=1)
+    return np.linalg.lstsq(M.reshape(12 * K, -1), right.ravel(), rcond=None)[0]
 
 
 def _scaled_rotation(M: np.ndarray) -> np.ndarray:

@@ -110,10 +110,10 @@ def known(obs: Observations, effects: EffectModel | None) -> Known:
 
 
 def _known(obs: Observations, cell: CellState | CalibratedCell) -> Known:
-    """The effects of a cell, and what it found of the errors that the measurements of its recording, and so these, share."""
+    """The effects of a cell, and what it found of the errors of the instrument in its recording, and so in these."""
     if isinstance(cell, CellState):
         return ()
-    return (*known(obs, cell.effects), *(cell.own_fit.shared_errors(obs) if cell.own_fit else ()))
+    return (*known(obs, cell.effects), *(cell.own_fit.instrument_errors(obs) if cell.own_fit else ()))
 
 
 def _parts(cell: CellState | CalibratedCell) -> tuple[CellState, EffectModel | None]:

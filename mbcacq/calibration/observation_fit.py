@@ -12,12 +12,12 @@ from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.identifiability import Undetermined
+from mbcacq.estimation.identifiability import Undetermined, correlated_pairs
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import Solution, covariance_of, covariance_under_its_noise
-from mbcacq.estimation.terms import SHARED, Term, shared_errors
+from mbcacq.estimation.terms import Term, known_errors
 from mbcacq.geometry import se3
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
@@ -162,11 +162,11 @@ class ObservationFit:
         """3D rms of the residuals of all centres used."""
         return float(np.sqrt(np.mean(np.sum(self.residual[self.used, :3] ** 2, axis=1)))) if self.used.any() else float("nan")
 
-    def shared_errors(self, observations: Observations) -> tuple[tuple[Term, np.ndarray], ...]:
-        """The errors that the measurements of the recording share, as a term of other poses of it, with their estimates."""
+    def instrument_errors(self, observations: Observations) -> list[tuple[Term, np.ndarray]]:
+        """The errors of the instrument that belong to the recording, as terms of other poses of it, with their estimates."""
         # The coefficients of a discrepancy stand behind those of the terms that were asked for.
-        found = [c for t, c in zip(self.options.terms, self.coefficients, strict=False) if t.name == SHARED]
-        return tuple(zip(shared_errors(observations), found, strict=False))
+        terms = zip(self.options.terms, self.coefficients, strict=False)
+        return known_errors(observations, {name: float(v) for t, c in terms for name, v in zip(t.names, c, strict=True)})
 
     def holds(self, observations: Observations) -> bool:
         """Whether any pose of ``observations`` is among those fitted: the same number with the same joint angles."""
@@ -189,6 +189,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
     lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
     obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
     C = covariance_under_its_noise(solution) if known_noise else covariance_of(solution)
+    alike = correlated_pairs(layout.names, C, CORRELATED)
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())
@@ -206,7 +207,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
         iterations=solution.iterations,
         undetermined=tuple(adjustment.found),
         rejected=_rejected(obs, solution, weights),
-        correlated=_correlated(layout.names, C),
+        correlated=tuple(one for one in alike if not any(name.startswith("unknown:") for name in one[:2])),
     )
     return fit, CellEstimate(state=solution.estimate.state, layout=layout, covariance=C, noise=adjustment.noise)
 
@@ -222,16 +223,6 @@ def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[
         *out,
         *(Rejected(pose=int(obs.pose_id[obs.pose[m]]), ball=obs.cell.ball_ids[obs.ball[m]], distance_mm=float(size[m])) for m in single),
     )
-
-
-def _correlated(names: Sequence[str], C: np.ndarray) -> tuple[tuple[str, str, float], ...]:
-    std = np.sqrt(np.diag(C))
-    correlation = C / np.outer(std, std)
-    i, j = np.nonzero(np.triu(np.abs(correlation) > CORRELATED, 1))
-    order = np.argsort(-np.abs(correlation[i, j]))
-    pairs = [(int(i[k]), int(j[k])) for k in order]
-    pairs = [(a, b) for a, b in pairs if not names[a].startswith("unknown:") and not names[b].startswith("unknown:")]
-    return tuple((names[a], names[b], float(correlation[a, b])) for a, b in pairs)
 
 
 def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState, covariance: np.ndarray) -> list[Parameter]:

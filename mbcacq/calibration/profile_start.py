@@ -92,13 +92,16 @@ def radius_by_profiles(hand: np.ndarray, circles: Sequence[Circle], radius: floa
     return R, float(scale * np.sqrt(np.linalg.inv(whole)[9, 9]) / size_of[9])
 
 
-def measured_centres(start: ProfileStart, circles: Sequence[Circle], radius: float, noise_mm: float) -> tuple[np.ndarray, np.ndarray]:
+def measured_centres(
+    start: ProfileStart, circles: Sequence[Circle], radius: float | np.ndarray, noise_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Centre (P, 3) mm of the sphere as each profile has it, and its covariance (P, 3, 3), linearised at the start.
 
     From r^2 = R^2 - s_y^2: s_y = h + (R^2 - h^2 - r^2) / (2 h) and ds_y/dr = -r / h, with h the s_y of the start.
     """
     centres, covariances = [], []
-    for circle, h in zip(circles, start.sphere_in_scanner[:, 1], strict=True):
+    radii = np.broadcast_to(radius, len(circles))
+    for circle, h, radius in zip(circles, start.sphere_in_scanner[:, 1], radii, strict=True):
         r, of_circle = circle.radius, noise_mm**2 * circle.cofactor
         if abs(h) > EQUATOR * radius:
             y = h + (radius**2 - h**2 - r**2) / (2 * h)

@@ -17,18 +17,20 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.change import NOTABLE, ChangeEvidence
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.calibration.description import wrong_length
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
 from mbcacq.estimation.options import copies
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.estimation.solver import solve
-from mbcacq.estimation.terms import SHARED
+from mbcacq.estimation.terms import LENGTH, LENGTH_NAMES, SHARED
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
+LOADS = "loads_Nm"
 LEAST_STEP = 1e-5  # of a scale, relative; below, rounding would show
 TWIST = tuple(f"hand_eye.{c}" for c in HAND_EYE)
 
@@ -83,11 +85,26 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         cell = warned(cell, f"A length contradicts the poses of the flange: {length}")
     if observations.images is not None:
         at = [i for i, name in enumerate(cell.names) if name.startswith(f"{SHARED}_")]
-        found = next((c for _, c in cell.fit.shared_errors(observations)), np.zeros(0))
+        found = next((c for t, c in cell.fit.instrument_errors(observations) if t.name == SHARED), np.zeros(0))
         said = observations.images.calibrated(found, cell.covariance[np.ix_(at, at)])
         cell = replace(cell, extra={**cell.extra, "images": said})
+    if LENGTH_NAMES[0] in cell.names:
+        at = [cell.names.index(name) for name in LENGTH_NAMES]
+        offset, scale = next(c for t, c in cell.fit.instrument_errors(observations) if t.name == LENGTH)
+        std = np.sqrt(np.diag(cell.covariance)[at])
+        said = {"offset_mm": float(offset), "offset_std_mm": float(std[0]), "scale": float(scale), "scale_std": float(std[1])}
+        cell = replace(cell, extra={**cell.extra, "length_instrument": said})
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
+
+
+def with_loads(cell: CalibratedCell) -> CalibratedCell:
+    """The cell with the range of the torques of gravity that each joint carried in nine of ten poses: 'loads_Nm' of result.json, where
+    masses are known."""
+    here = Covariates(cell.fit.observations)
+    if not here.masses_known or here.obs.cell.robot.of_flange_poses:
+        return cell
+    return replace(cell, extra={**cell.extra, LOADS: np.quantile(here.gravity_torque, (0.05, 0.95), axis=0).T.tolist()})
 
 
 def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:

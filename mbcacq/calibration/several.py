@@ -22,7 +22,7 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
+from mbcacq.estimation.parameters import Estimate, build
 from mbcacq.estimation.several_recordings import BetweenRecordings, JointProblem, joint_problem
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.terms import PER_POSE, Term
@@ -119,7 +119,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
         built += [_of_each_recording(obs, t, j, np.inf) for j in wanted] if wanted else [t]
         start += [np.full(obs.n_recordings, values[j]) for j in wanted] if wanted else [values]
     options = replace(whole.fit.options, terms=tuple(built))
-    layout = _as_held(build(obs, options), whole)
+    layout = build(obs, options).holding(whole.layout.held)
     at = system(Lineariser(obs, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.fit.weights)
     scale = layout.scale
     H = scale[:, None] * at.normal.information * scale
@@ -158,13 +158,6 @@ def _of_each_recording(obs: Observations, t: Term, j: int, sigma: float) -> Term
     parts = tuple(replace(p, basis=p.basis[:, j : j + 1] * (here if p.place in PER_POSE else here[obs.pose])) for p in t.parts)
     names = tuple(f"{t.names[j]}@{r + 1}" for r in range(count))
     return Term(t.names[j], parts, names, (t.units[j],) * count, np.full(count, sigma))
-
-
-def _as_held(layout: ParameterLayout, whole: CalibratedCell) -> ParameterLayout:
-    """The layout with what a calibration holds held."""
-    for name, why in whole.layout.held.items():
-        layout = layout if name in layout.held else layout.hold(name, why)
-    return layout
 
 
 def shares(whole: CalibratedCell, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[CalibratedCell, ...]:

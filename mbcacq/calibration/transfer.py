@@ -16,8 +16,10 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.held_out_poses import gross
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import PartsLeftOut, TransferFigures, parts_left_out
+from mbcacq.calibration.published_cell import LOADS
 from mbcacq.calibration.sufficiency import refuse_other_arm
-from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import REPORTED_SHARE, EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
@@ -33,6 +35,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
+LEAST_LOAD = 0.02  # of the largest torque about a joint, below which the side of its gear's teeth is not known
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,8 @@ def check_transfer(
     """
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
+    if observations.cell.length_scale:
+        raise ConfigError("a result of distances is tried on poses of its own recording: mbcacq calibrate --held-out random")
     refuse_other_arm("the result is of", cell.robot, cell.nominal, observations.cell.robot, recording or "the recording")
     observations = select_phases(observations, CalibrationOptions(phases=all_phases(observations)))
     left_out: tuple[str, ...] = ()
@@ -199,7 +204,13 @@ def check_transfer(
         own_geometry=tried.own_geometry(every),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
-        warnings=(*tried.changes(cell.state.chain, model), *left_out, *(str(d) for d in departures), *model.absent(observations)),
+        warnings=(
+            *tried.changes(cell.state.chain, model),
+            *left_out,
+            *(str(d) for d in departures),
+            *reversed_loads(observations, cell),
+            *model.absent(observations),
+        ),
         recording=recording,
         fitted=FITTED_OF_FLANGE if tried.of_flange_poses else Transfer.fitted,
         parts_left_out=tried.parts_left_out(best, model, used),
@@ -231,6 +242,25 @@ def at_known_stations(obs: Observations, cell: CalibratedCell) -> tuple[Observat
         f"{obs.n_poses} poses; --place fitted judges them too"
     )
     return obs.select(known), (sentence,)
+
+
+def reversed_loads(obs: Observations, cell: CalibratedCell) -> tuple[str, ...]:
+    """A sentence on the joints that gravity turns one way here and hardly ever did where the arm was learnt, if there are any. Backlash and
+    lost motion are a constant there, and in no uncertainty that was learnt."""
+    here, found, largest = Covariates(obs), list[str](), 0.0
+    learnt = np.reshape(cell.extra.get(LOADS, []) if here.masses_known else [], (-1, 2))
+    for j, (low, high) in enumerate(learnt):
+        torque = here.gravity_torque[:, j]
+        least = LEAST_LOAD * max(abs(low), abs(high))
+        share = max(np.mean(torque < -least) * (low >= -least), np.mean(torque > least) * (high <= least))
+        if share > REPORTED_SHARE:
+            found, largest = [*found, f"A{j + 1}"], max(largest, float(share))
+    if not found:
+        return ()
+    return (
+        f"gravity turns {', '.join(found)} the other way at up to {largest:.0%} of the poses, and hardly ever did where the arm was "
+        "learnt: backlash and lost motion of their gears do not show there, and no stated uncertainty contains them",
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ the uncertainty of measuring it in mind (``length_budget``): pass only where it 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -222,7 +222,7 @@ def measured_pairs(obs: Observations, before: CellState, after: CellState, effec
     found, ends = ball_positions(obs, after, effects)
     certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
     out = []
-    for station, a, b in _pairs(obs, found):
+    for station, a, b in pairs_of_balls(found):
         first, last = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (start, found))
         length = float(np.linalg.norm(certified[a] - certified[b]))
         out.append(MeasuredPair(station, (a, b), length, first, last, (ends[station, a], ends[station, b])))
@@ -294,7 +294,8 @@ def ball_positions(obs: Observations, state: CellState, effects: EffectModel | N
     return where, ends
 
 
-def _pairs(obs: Observations, where) -> list[tuple[int, int, int]]:
+def pairs_of_balls(where: Iterable[tuple[int, int]]) -> list[tuple[int, int, int]]:
+    """(station, ball id, ball id) of every two balls of one station, of keys (station, ball id)."""
     keys = sorted(where)
     return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1 :] if t == s]
 

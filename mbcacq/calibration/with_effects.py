@@ -295,9 +295,7 @@ class _Stage:
 
     @cached_property
     def layout(self) -> ParameterLayout:
-        layout = build(self.observations, replace(self.options, terms=self.terms))
-        for name, why in self.fitted.layout.held.items():
-            layout = layout if name in layout.held else layout.hold(name, why)
+        layout = build(self.observations, replace(self.options, terms=self.terms)).holding(self.fitted.layout.held)
         return ParameterLayout((self.fitted.layout.blocks[0], *layout.blocks[1:]))  # the sizes of the links' errors stay
 
     @cached_property

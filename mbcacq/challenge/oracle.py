@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.likelihood_gain import best_hyper, gain_at
+from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidate, evidence_of_one
 from mbcacq.diagnosis.evidence.evidence_fit import kept_centres
 from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
@@ -77,15 +77,12 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[Member
     screen = CandidateScoring.of(setup.linear, setup.noise)
     for group in location_sets(effect):
         fitting = [c for c in setup.candidates if c.name == effect["name"] and set(c.where) == group]
-        scored = []
-        for candidate in fitting:
-            for hyper in true_hypers(setup, candidate, effect):
-                scored.append((hyper, gain_at(screen, candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
+        each = [(c, hyper) for c in fitting for hyper in true_hypers(setup, c, effect)]
+        scored = [evidence_of_candidate(screen, c) if hyper is None else evidence_of_one(screen, c, hyper) for c, hyper in each]
         if any(c.periodic for c in fitting):
-            chosen += [Member(s.candidate, h) for h, s in scored]
+            chosen += [m for _, m in scored]
         elif scored:
-            best = max((s for _, s in scored), key=lambda s: s.gain - 3 * s.k)
-            chosen.append(Member(best.candidate, best.hyper))
+            chosen.append(max(scored, key=lambda one: one[0])[1])
     return chosen
 
 

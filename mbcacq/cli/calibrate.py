@@ -155,7 +155,15 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, effects, out, joints=not of_flange_poses(result), poses=result.get("fit", {}).get("poses")))
+        say_next(
+            *next_step(
+                data,
+                effects,
+                out,
+                joints=not (of_flange_poses(result) or result.get("length_instrument")),
+                poses=result.get("fit", {}).get("poses"),
+            )
+        )
 
 
 def next_step(
@@ -214,7 +222,17 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(tables.parameters(result))
     for table in (*tables.fixed_scanners(result), tables.hand_eye(result)):
         console.print(table)
-    fit = (tables.effects, tables.fit, tables.images, tables.clock, tables.scan_scale, tables.stages, tables.remarks, tables.arm_improved)
+    fit = (
+        tables.effects,
+        tables.fit,
+        tables.images,
+        tables.length_instrument,
+        tables.clock,
+        tables.scan_scale,
+        tables.stages,
+        tables.remarks,
+        tables.arm_improved,
+    )
     for line in (line for lines in fit for line in lines(result)):
         console.print(line)
     if result.get("verification"):

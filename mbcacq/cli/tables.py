@@ -14,6 +14,7 @@ from mbcacq.quantities import (
     K,
     decimal_places,
     fixed,
+    in_degrees,
     in_words,
     listed,
     measured,
@@ -25,8 +26,6 @@ from mbcacq.quantities import (
     symbol,
     uncertainty,
 )
-
-TO_DEG = 180 / np.pi
 
 
 def parameters(result: dict[str, Any]) -> Table:
@@ -99,7 +98,7 @@ def link_errors(result: dict[str, Any]) -> str:
 def _cell(parameter: dict[str, Any] | None) -> str:
     if parameter is None or parameter["status"] == "held":
         return "-"
-    scale = TO_DEG if parameter["unit"] == "rad" else 1.0
+    scale = in_degrees(1.0) if parameter["unit"] == "rad" else 1.0
     if parameter["std"] is None:
         return signed(scale * parameter["error"], 4)
     error, U = pair(scale * parameter["error"], K * scale * parameter["std"])
@@ -114,7 +113,8 @@ def fixed_scanners(result: dict[str, Any]) -> list[Table]:
     for station in result["stations"]:
         table = Table(title=f"instrument '{station['id']}' in the base, ± U (k = 2)", title_justify="left")
         std = station["std"]
-        _frame_rows(table, station["T_base_station"], [*std[:3], *std[:2:-1]])
+        turn = [None] * 3 if result.get("length_instrument") else std[:2:-1]  # of one that measures distances there is none
+        _frame_rows(table, station["T_base_station"], [*std[:3], *turn])
         out.append(table)
     return out
 
@@ -131,7 +131,7 @@ def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> 
     for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
         table.add_column(f"{name} / {unit}", justify="right")
     scaled = [(v, s, 1.0) for v, s in zip(xyz, std[:3], strict=True)]
-    scaled += [(TO_DEG * v, s, TO_DEG) for v, s in zip(abc, std[3:], strict=True)]
+    scaled += [(in_degrees(v), s, in_degrees(1.0)) for v, s in zip(abc, std[3:], strict=True)]
     shown = [(fixed(v, 4), "held") if s is None else pair(v, K * scale * s) for v, s, scale in scaled]
     table.add_row(*(value for value, _ in shown))
     table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))
@@ -165,7 +165,9 @@ def fit(result: dict[str, Any]) -> list[str]:
             return out
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])
-        out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
+        distance = f"a distance {uncertainty(1e3 * noise['scanner_mm'][0])} µm"
+        scatter = distance if result.get("length_instrument") else f"scanner {axes} µm along x, y, z{turn}"
+        out.append(f"Noise (k = 1): {scatter}{_repeatability(result)}")
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
@@ -229,6 +231,15 @@ def remarks(result: dict[str, Any]) -> list[str]:
 def _image_of(result: dict[str, Any], pose: int) -> str:
     found = next((one["name"] for one in result.get("images", {}).get("images", ()) if one["pose"] == pose), "")
     return f" of {found}" if found else ""
+
+
+def length_instrument(result: dict[str, Any]) -> list[str]:
+    """Offset and scale of an instrument that measures distances."""
+    if not (found := result.get("length_instrument")):
+        return []
+    offset, U = pair(found["offset_mm"], K * found["offset_std_mm"])
+    scale, U_scale = pair(1e6 * found["scale"], K * 1e6 * found["scale_std"])
+    return [f"Instrument (± U, k = 2): offset {offset} ± {U} mm, scale {scale} ± {U_scale} ppm"]
 
 
 def images(result: dict[str, Any]) -> list[str]:

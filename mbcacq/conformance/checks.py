@@ -155,13 +155,14 @@ def a_changed_fact_is_seen(bench: DriverBench, stand: Stand) -> None:
     if not stand.facts:
         raise Skip("the bench changes no fact of this device")
     bounded("connect", driver.connect, bench.limit_s)
+    bounded("use", lambda: stand.use(driver), bench.limit_s)
     first = {fact.name: fact for fact in facts()}
     demand(first.keys() == stand.facts.keys(), f"the driver declares {sorted(first)}, the bench changes {sorted(stand.facts)}")
     for name, change in stand.facts.items():
         if change is None:
             continue
         change()
-        if bench.kind == "scanner":  # it reports with each exposure
+        if bench.kind in ("scanner", "robot"):  # some report with each exposure, or motion
             bounded("use", lambda: stand.use(driver), bench.limit_s)
         now = {}
 

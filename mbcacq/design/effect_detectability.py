@@ -19,6 +19,7 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.catalogue import candidates
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.identifiability import correlated_pairs
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.model.json_text import AsJson, keyed
@@ -75,7 +76,12 @@ def detectability(
         effects.append(EffectDetectability(candidate.name, location, sigmas, absorbed, detectable))
         if detectable:
             remaining[f"{candidate.name}:{location}"] = row
-    return Detectability(tuple(_best(effects)), missing, _indistinguishable(remaining, len(problem.Q), OPTIONS.indistinguishable))
+    best = {(e.name, e.location): e for e in sorted(effects, key=lambda e: e.sigmas)}  # variant of each effect and location
+    alike = list[Alike]()
+    if remaining:
+        rows = np.stack(list(remaining.values()))
+        alike = correlated_pairs(list(remaining), _inner(rows, rows, len(problem.Q)), OPTIONS.indistinguishable)
+    return Detectability(tuple(sorted(best.values(), key=lambda e: e.sigmas)), missing, tuple(alike))
 
 
 def _projected(problem: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:
@@ -102,26 +108,3 @@ def hyper_values(candidate: Candidate, count: int) -> list[float | None]:
         return [None]
     values = candidate.hyper.values
     return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, count).astype(int))]]
-
-
-def _best(effects: list[EffectDetectability]) -> list[EffectDetectability]:
-    """The most detectable variant of each effect and location, least detectable first."""
-    best: dict[tuple[str, str], EffectDetectability] = {}
-    for effect in effects:
-        key = (effect.name, effect.location)
-        if key not in best or best[key].sigmas < effect.sigmas:
-            best[key] = effect
-    return sorted(best.values(), key=lambda e: e.sigmas)
-
-
-def _indistinguishable(remaining: dict[str, np.ndarray], rows: int, limit: float) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of effects whose rows correlate by more than ``limit``, most alike first."""
-    if len(remaining) < 2:
-        return ()
-    names, stacked = list(remaining), np.stack(list(remaining.values()))
-    gram = _inner(stacked, stacked, rows)
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    correlation = gram / np.outer(size, size)
-    i, j = np.nonzero(np.triu(np.abs(correlation) > limit, 1))
-    order = np.argsort(-np.abs(correlation[i, j]))
-    return tuple((names[i[k]], names[j[k]], float(correlation[i[k], j[k]])) for k in order)

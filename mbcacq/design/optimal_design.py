@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mbcacq.design.candidate_views import CandidateView, candidates
+from mbcacq.design.candidate_views import candidates
 from mbcacq.design.design_problem import DesignProblem
 from mbcacq.design.exchange_algorithm import choose_by_exchange
 from mbcacq.design.options import OPTIONS
-from mbcacq.design.plan_rewriter import Chosen, with_views
+from mbcacq.design.plan_rewriter import Chosen, by_station, with_views
 from mbcacq.design.station_repair import repaired
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
@@ -57,15 +57,8 @@ def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg
     kept = [p for p in poses if p.phase in ("translation", "orientation")]
     problem = DesignProblem(loaded, kept, found, poses)
     picked = choose_by_exchange(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion))
-    chosen: Chosen = {}
-    for k in sorted(picked, key=lambda k: _order(stations, found[k])):
-        chosen.setdefault((found[k].station, found[k].aim), []).append(found[k].view)
+    chosen = by_station([found[k] for k in picked], stations)
     return Design(with_views(loaded, chosen), chosen, len(found), tuple(repairs))
-
-
-def _order(stations: list[str], candidate: CandidateView) -> tuple[int, int, str, float]:
-    """Station by station, ball by ball, one wrist branch after the other, around the artefact."""
-    return stations.index(candidate.station), candidate.aim or 0, candidate.view.wrist, candidate.view.azimuth_deg
 
 
 def _stations(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[str]:

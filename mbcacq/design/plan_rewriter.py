@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
+from mbcacq.design.candidate_views import CandidateView
 from mbcacq.model import yaml12
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.schema import View
@@ -12,6 +16,22 @@ NAME = "designed"
 
 
 Chosen = dict[tuple[str, int | None], list[View]]
+
+
+def by_station(views: Iterable[CandidateView], stations: Sequence[str]) -> Chosen:
+    """Views station by station, ball by ball, one wrist branch after the other, around the artefact."""
+    chosen: Chosen = {}
+    for one in sorted(views, key=lambda v: (stations.index(v.station), v.aim or 0, v.view.wrist, v.view.azimuth_deg)):
+        chosen.setdefault((one.station, one.aim), []).append(one.view)
+    return chosen
+
+
+def seen_from(folder: Path, path: Path) -> str:
+    """The name of a file in a plan of a folder: relative to it, if it is on the same drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return str(path.resolve())
 
 
 def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:

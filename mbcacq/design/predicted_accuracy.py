@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
-from mbcacq.calibration.verification import ball_positions, verification_poses
+from mbcacq.calibration.verification import ball_positions, pairs_of_balls, verification_poses
 from mbcacq.design.planned_scope import planned_scope
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.estimation import identifiability
@@ -119,7 +119,7 @@ def predicted_calibration(
 def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:
     """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
     _, ends = ball_positions(verification_poses(observations), calibration.state)
-    pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1 :] if k[0] == m[0]]
+    pairs = [(ends[station, a], ends[station, b]) for station, a, b in pairs_of_balls(ends)]
     return [float(calibration.distance_uncertainty(a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
 
 

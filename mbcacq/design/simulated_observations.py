@@ -13,6 +13,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry import se3
+from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
@@ -42,14 +43,11 @@ def planned_observations(
     of rotation; starts: (P,) s, for effects of time.
     """
     cell = replace(loaded.cell, stations=tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations))
-    station = {s.id: i for i, s in enumerate(cell.stations)}
-    ball = {b: i for i, b in enumerate(cell.ball_ids)}
-    expected = [(k, ball[b]) for k, p in enumerate(poses) for b in p.balls]
-    pose, balls = np.array(expected, dtype=int).reshape(-1, 2).T
+    station, pose, balls = expected_centres(cell, poses)
     blank = Observations(
         cell=cell,
         pose_id=np.array([p.number for p in poses]),
-        station=np.array([station[p.station] for p in poses]),
+        station=station,
         q=np.array([p.q for p in poses]),
         pose=pose,
         ball=balls,
@@ -59,6 +57,15 @@ def planned_observations(
         direction=None if transits is None else np.array(last_directions(loaded, poses, transits)),
     )
     return replace(blank, xyz=forward_model.predict(blank, planned_state(loaded)).xyz)
+
+
+def expected_centres(cell: Cell, poses: Sequence[PlannedPose]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(P,) index of the station of each pose; (M,) of the pose and (M,) of the ball of each centre that it is to show."""
+    station = {s.id: i for i, s in enumerate(cell.stations)}
+    ball = {b: i for i, b in enumerate(cell.ball_ids)}
+    expected = [(k, ball[b]) for k, p in enumerate(poses) for b in p.balls]
+    pose, balls = np.array(expected, dtype=int).reshape(-1, 2).T
+    return np.array([station[p.station] for p in poses], dtype=int), pose, balls
 
 
 def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: Noise, rng: np.random.Generator) -> Observations:
@@ -78,7 +85,7 @@ def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: N
 
 def last_directions(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
     """(n,) -1, 0, 1 of each pose: the direction in which each axis last moved before it came to rest."""
-    last = np.radians(loaded.plan.robot.home_deg)
+    last = loaded.plan.robot.home
     direction, out = np.zeros(len(last), dtype=int), []
     for pose, transit in zip(poses, transits, strict=True):
         for stop in [*transit, pose.q]:

@@ -15,6 +15,7 @@ from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.model_names import same_model
+from mbcacq.devices.motion_target import joint_target
 from mbcacq.devices.plan_options import DriverOptions, parse_options
 from mbcacq.devices.protocols import (
     Cycles,
@@ -24,6 +25,8 @@ from mbcacq.devices.protocols import (
     Field,
     MotionLimits,
     Positioner,
+    Profiles,
+    ProfileScanner,
     Robot,
     RobotState,
     Scan,
@@ -67,6 +70,8 @@ __all__ = [
     "MbcacqError",
     "MotionLimits",
     "Positioner",
+    "ProfileScanner",
+    "Profiles",
     "ProtocolError",
     "Robot",
     "RobotState",
@@ -82,6 +87,7 @@ __all__ = [
     "has_ended",
     "is_host",
     "is_interactive",
+    "joint_target",
     "kill",
     "load_driver",
     "open_tcp",

@@ -152,6 +152,36 @@ class Scan:
     warnings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Profiles:
+    """Profiles of a line scanner, one row each, oldest first.
+
+    Attributes
+    ----------
+    counter, encoder, inputs : (k,) ndarray
+        int64: the sensor's number of the profile, ticks of its encoder, and its inputs as bits.
+    time_s : (k,) ndarray
+        The sensor's clock at the exposure.
+    first : (k,) ndarray
+        Row of ``points`` at which each profile begins.
+    points : (N, 2) ndarray
+        float32, mm: x along the laser line, z, valid points only. The laser plane is y = 0 of the scanner.
+    lost : int
+        How many profiles the counter says there were that never came, up to the last of these.
+    """
+
+    counter: np.ndarray
+    time_s: np.ndarray
+    encoder: np.ndarray
+    inputs: np.ndarray
+    first: np.ndarray
+    points: np.ndarray
+    lost: int = 0
+
+    def __len__(self) -> int:
+        return len(self.counter)
+
+
 @runtime_checkable
 class Device(Protocol):
     """Common to every device: a context manager that connects on entry and closes on exit."""
@@ -203,6 +233,24 @@ class Scanner(Device, Protocol):
         """Expose once and return the scan, e.g. ``Scan(points, frame=17)`` with points (N, 3).
 
         Raises DeviceTimeout, ProtocolError, DeviceFault."""
+        ...
+
+
+@runtime_checkable
+class ProfileScanner(Device, Protocol):
+    """A line scanner, which measures while the arm moves."""
+
+    def start_profiles(self) -> None:
+        """Begin to take profiles, triggered as the sensor's job says. Raises ConfigError, and as ``Scanner.capture``."""
+        ...
+
+    def profiles(self) -> Profiles:
+        """Every profile since the last call, nothing dropped silently. Raises the error that ended the stream, once all before it are
+        returned; DeviceFault where counter or clock began anew, as nobody can tell when later profiles were taken."""
+        ...
+
+    def end_profiles(self) -> None:
+        """Stop, and return once all profiles that were under way have come; the next ``profiles()`` has them."""
         ...
 
 

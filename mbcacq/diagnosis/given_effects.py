@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.diagnosis.evidence.allowed_names import with_allowed_names
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence, geometry_of, with_untried_rivals
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
@@ -26,6 +27,7 @@ from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate, Parameters
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
+from mbcacq.effects.support import refusal
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions
@@ -104,7 +106,7 @@ def _searched(obs: Observations, given: EffectSet, options: CalibrationOptions) 
     problem = with_given(prepare(obs, options), given)
     if problem.in_part:
         problem = problem.searched(problem.linear.keep)
-    fit = with_untried_rivals(problem, fit_evidence(problem))
+    fit = with_allowed_names(with_untried_rivals(problem, fit_evidence(problem)), problem.context.obs.cell.robot)
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
     evidence = GivenEvidence(given.labels, replace(found, sets=sets))
@@ -129,13 +131,14 @@ def with_those_given(one: ComparedSet, given: EffectSet, hypothesis: Hypothesis)
 
 
 def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -> EffectSet:
-    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters."""
+    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters. Those that an
+    arm cannot have are searched as all others."""
     by_label = {one.label: one for one in stated}
     members, mean, std = list[Member](), [np.zeros(0)], [np.zeros(0)]
     for candidate in problem.candidates:
         one = by_label.get(candidate.label)
         known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
-        if known is not None:
+        if known is not None and not refusal(candidate, problem.context.obs.cell.robot, known[0], np.diag(known[1] ** 2)):
             members.append(Member(candidate, None))
             mean.append(known[0])
             std.append(known[1])

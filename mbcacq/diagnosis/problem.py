@@ -101,7 +101,10 @@ class DiagnosisProblem:
 @contextmanager
 def determined(recordings: Observations | Sequence[Observations]) -> Iterator[None]:
     """Raises CalibrationError for fewer poses than a diagnosis needs, and where it turns out that they do not determine the cell."""
-    poses = sum(r.n_poses for r in ([recordings] if isinstance(recordings, Observations) else recordings))
+    every = [recordings] if isinstance(recordings, Observations) else recordings
+    if any(r.cell.length_scale for r in every):
+        raise CalibrationError("distances alone are calibrated and not diagnosed: a diagnosis needs places or poses of a target")
+    poses = sum(r.n_poses for r in every)
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:

@@ -61,7 +61,8 @@ class Prediction:
 
     xyz: (M, 3) mm. frames: (P, n+1, 4, 4). T_base_scanner: (P, 4, 4). T_base_station: (P, 4, 4), the station of each pose.
     ball: (M, 3) mm in the artefact frame. pose: (M,) of each centre. measurement: as ``Cell`` has it.
-    rotation: (M, 3, 3) predicted orientation of the target in the instrument's frame, or None.
+    rotation: (M, 3, 3) predicted orientation of the target in the instrument's frame, or None. direction: (M, 3) from the instrument to the
+    target where their distance alone is measured, which then stands in the first coordinate; or None.
     """
 
     xyz: np.ndarray
@@ -72,11 +73,12 @@ class Prediction:
     pose: np.ndarray
     measurement: str
     rotation: np.ndarray | None = None
+    direction: np.ndarray | None = None
 
     @cached_property
     def gradient(self) -> np.ndarray:
         """G (M, R, 6), change of the residual's rows by a spatial twist of the arm; R = 3, or 6 where the target's orientation is measured
-        (rows 3..5: rotation vector in the instrument's frame, rad)."""
+        (rows 3..5: rotation vector in the instrument's frame, rad), or 1 of a distance."""
         by_target = self.measurement == TARGET_IN_BASE
         moving, observing = (self.T_base_scanner, self.T_base_station) if by_target else (self.T_base_station, self.T_base_scanner)
         point = se3.apply_each(moving, self.pose, self.ball)
@@ -86,7 +88,7 @@ class Prediction:
         out[:, :3, :3], out[:, :3, 3:] = R, se3.cross(point[:, None], R)
         if self.rotation is not None:
             out[:, 3:, 3:] = R
-        return out
+        return out if self.direction is None else self.direction[:, None] @ out
 
     @cached_property
     def ball_rotation(self) -> np.ndarray:
@@ -122,6 +124,10 @@ def predict(obs: Observations, state: CellState, displacements: Displacements | 
     moving, observing = (T_base_scanner, T_base_station) if by_target else (T_base_station, T_base_scanner)
     to_instrument = se3.inverse(observing) @ moving
     xyz = se3.apply_each(to_instrument, obs.pose, ball)
+    direction = None
+    if obs.cell.length_scale:
+        length = np.linalg.norm(xyz, axis=1, keepdims=True)
+        direction, xyz = xyz / np.maximum(length, 1e-9), np.pad(length, ((0, 0), (0, 2)))
     if moved.point is not None:
         xyz += moved.point
     rotation = None if obs.rotation is None else to_instrument[obs.pose, :3, :3]
@@ -136,12 +142,15 @@ def predict(obs: Observations, state: CellState, displacements: Displacements | 
         pose=obs.pose,
         measurement=obs.cell.measurement,
         rotation=rotation,
+        direction=direction,
     )
 
 
 def residual(obs: Observations, prediction: Prediction) -> np.ndarray:
-    """Measured minus predicted: (M, 3) mm, or (M, 6) with the rotation vector (rad) where an orientation is measured."""
+    """Measured minus predicted: (M, 3) mm, (M, 6) with the rotation vector (rad) where an orientation is measured, (M, 1) of distances."""
     difference = obs.xyz - prediction.xyz
+    if prediction.direction is not None:
+        return difference[:, :1]
     if prediction.rotation is None:
         return difference
     turn = obs.rotation @ np.swapaxes(prediction.rotation, -1, -2)

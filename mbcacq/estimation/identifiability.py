@@ -170,3 +170,12 @@ def _twists(layout: ParameterLayout, state: CellState, q: np.ndarray) -> tuple[n
     T = frames[:, -1] @ (state.T_flange_scanner[0] if several else state.T_flange_scanner)
     arm = state.chain.parameter_twists(frames, q).reshape(len(q), -1, 6)[:, layout.blocks[0].free]
     return np.concatenate([np.swapaxes(arm, 1, 2), se3.adjoint(T)[:, :, layout.blocks[1].free[:6]]], axis=2), T
+
+
+def correlated_pairs(names: Sequence[str], products: np.ndarray, limit: float) -> list[tuple[str, str, float]]:
+    """Names of two and their correlation, where it exceeds a limit, the most alike first. products: (k, k) covariances, or inner ones."""
+    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    correlation = products / np.outer(size, size)
+    i, j = np.nonzero(np.triu(np.abs(correlation) > limit, 1))
+    order = np.argsort(-np.abs(correlation[i, j]))
+    return [(names[int(a)], names[int(b)], float(correlation[a, b])) for a, b in zip(i[order], j[order], strict=True)]

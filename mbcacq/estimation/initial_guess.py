@@ -45,6 +45,8 @@ def start(obs: Observations) -> CellState:
     """Nominal arm, with the better of the given hand-eye and the one found from the data; robust to gross outliers."""
     chain = obs.cell.robot.chain
     T_base_flange = chain.flange(obs.q)
+    if obs.cell.length_scale:
+        return _multilateration(obs, T_base_flange)
     best = None
     for X, T_base_station in hand_eye_candidates(obs, T_base_flange):
         placed = place_stations(obs, T_base_flange, X, T_base_station)
@@ -54,6 +56,33 @@ def start(obs: Observations) -> CellState:
             break
     assert best is not None, "one is given"
     return CellState(chain, best.X, best.T_base_station, obs.cell.ball_centres.copy())
+
+
+def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
+    """Instruments in the base and the target on the flange by their distances alone, with an offset of the instrument.
+
+    With the target at its first guess p, ``p.p - L L = 2 p.a - 2 L o + (o o - a.a)`` is linear in the place a of each instrument, its
+    offset o and a constant; from there by robust least squares, the target's place included.
+    """
+    from scipy.optimize import least_squares
+
+    T, L, station = T_base_flange[obs.pose], obs.xyz[:, 0], obs.station[obs.pose]
+    target, places = obs.cell.T_flange_scanner.copy(), np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
+    p = se3.apply(T, np.tile(target[:3, 3], (len(L), 1)))
+    for s in np.unique(station):
+        here = station == s
+        columns = np.c_[2 * p[here], -2 * L[here], np.full(here.sum(), 1e3)]
+        places[s, :3, 3] = np.linalg.lstsq(columns, np.sum(p[here] ** 2, axis=1) - L[here] ** 2, rcond=1e-6)[0][:3]
+        if (known := obs.cell.stations[s].T_base_station) is not None:
+            places[s] = known
+
+    def missed(x: np.ndarray) -> np.ndarray:
+        away = se3.apply(T, np.tile(x[:3], (len(L), 1))) - x[4:].reshape(-1, 3)[station]
+        return np.linalg.norm(away, axis=1) + x[3] - L
+
+    found = least_squares(missed, np.r_[target[:3, 3], 0.0, places[:, :3, 3].ravel()], loss="soft_l1", x_scale="jac", max_nfev=200).x
+    target[:3, 3], places[:, :3, 3] = found[:3], found[4:].reshape(-1, 3)
+    return CellState(obs.cell.robot.chain, target, places, obs.cell.ball_centres.copy())
 
 
 def hand_eye_candidates(obs: Observations, T_base_flange: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
@@ -163,6 +192,8 @@ def _groups(obs: Observations) -> np.ndarray:
 
 
 def with_all_stations(obs: Observations, state: CellState) -> CellState:
-    """The state with every station placed by the points measured there."""
+    """The state with every station placed by the points measured there; as it is where distances alone were measured."""
+    if obs.cell.length_scale:
+        return state
     placed = place_stations(obs, state.chain.flange(obs.q), hand_eye_of_poses(obs, state))
     return replace(state, T_base_station=placed.T_base_station)

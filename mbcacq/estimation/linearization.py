@@ -42,7 +42,7 @@ class Lineariser:
 
     def __init__(self, obs: Observations, layout: ParameterLayout, options: CalibrationOptions):
         self.obs, self.options = obs, options
-        self.rows = PoseRows(obs, 3 if obs.rotation is None else 6)
+        self.rows = PoseRows(obs, obs.width)
         self.first_noise = first_noise(obs.cell)
         self.own_weight = stated_weights(obs, self.first_noise)
         self.everything = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))

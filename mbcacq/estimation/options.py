@@ -108,7 +108,7 @@ class Noise:
 
     def row_sigma(self, width: int) -> np.ndarray:
         """(R,) sigma of the rows of one centre."""
-        return self.point if width == 3 else np.concatenate([self.point, np.full(3, self.turn)])
+        return self.point[:width] if width <= 3 else np.concatenate([self.point, np.full(3, self.turn)])
 
 
 def select_phases(obs: Observations, options: CalibrationOptions) -> Observations:

@@ -135,6 +135,13 @@ class ParameterLayout:
                 return ParameterLayout((*self.blocks[:i], b.hold(b.names.index(name), why), *self.blocks[i + 1 :]))
         raise ConfigError(f"there is no parameter '{name}'; give one of {', '.join(n for b in self.blocks[:2] for n in b.names)}")
 
+    def holding(self, held: Mapping[str, str]) -> ParameterLayout:
+        """The layout with these parameters held as well, for these reasons."""
+        layout = self
+        for name, why in held.items():
+            layout = layout if name in layout.held else layout.hold(name, why)
+        return layout
+
     @property
     def held(self) -> dict[str, str]:
         """Held parameters with the reason, except balls that are simply taken as certified."""

@@ -44,6 +44,8 @@ def joint_problem(recordings: Sequence[Observations], options: CalibrationOption
 
     Raises ConfigError where they are not of one arm, CalibrationError where one contradicts its cell.
     """
+    if any(one.shared is not None or one.cell.length_scale for one in recordings):
+        raise ConfigError("recordings of images or of distances have errors of their own instrument; calibrate them one by one")
     hold = tuple(name for name in options.hold if not OF_ONE.search(name))
     alone = replace(options, refuse=False, terms=(), hold=hold)
     parts = tuple(adjust_recording(select_phases(one, options), alone) for one in recordings)

@@ -6,7 +6,7 @@ design matrix for a solver) follows from the few locations at which an effect ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,7 @@ class Term:
         return replace(self, parts=at_poses(self.parts, poses, pose))
 
 
+LENGTH, LENGTH_NAMES = "length", ("length.offset", "length.scale")
 SHARED = "unknown:shared"  # as all coefficients that mean nothing by themselves
 
 
@@ -69,6 +70,24 @@ def shared_errors(obs: Observations) -> tuple[Term, ...]:
         own = np.swapaxes(obs.rotation, 1, 2) @ obs.shared[:, 3:]
         parts += [Part("orientation", 0, c, own[:, c]) for c in range(3)]
     return (term(SHARED, parts, [f"{SHARED}_{k + 1}" for k in range(obs.shared.shape[2])], sigma=1.0),)
+
+
+def length_errors(obs: Observations) -> tuple[Term, ...]:
+    """Offset (mm) and scale of an instrument that measures distances alone; () for any other."""
+    if not obs.cell.length_scale:
+        return ()
+    part = Part("point", 0, 0, np.stack([np.ones(obs.n_centres), obs.xyz[:, 0]], axis=1))
+    return (term(LENGTH, [part], LENGTH_NAMES, ("mm", ""), np.array([np.inf, obs.cell.length_scale])),)
+
+
+def own_errors(obs: Observations) -> tuple[Term, ...]:
+    """The errors of the instrument that belong to a recording alone, and are estimated with its cell."""
+    return (*shared_errors(obs), *length_errors(obs))
+
+
+def known_errors(obs: Observations, values: Mapping[str, float]) -> list[tuple[Term, np.ndarray]]:
+    """The terms among these whose coefficients are known by their names, with them."""
+    return [(t, np.array([values[n] for n in t.names])) for t in own_errors(obs) if all(n in values for n in t.names)]
 
 
 def at_poses(parts: Sequence[Part], poses: np.ndarray, pose: np.ndarray) -> tuple[Part, ...]:
@@ -117,9 +136,10 @@ def unit(obs: Observations, prediction: Prediction, place: str, index: int, comp
         return np.einsum("mrc,mc->mr", prediction.gradient, unit_twist(obs, prediction, place, index, component)[obs.pose])
     out = np.zeros(prediction.gradient.shape[:2])
     if place == "ball":
-        out[:, :3] = prediction.ball_rotation[prediction.pose][:, :, component]
+        moved = prediction.ball_rotation[prediction.pose][:, :, component]
+        out[:, :3] = moved if prediction.direction is None else np.sum(moved * prediction.direction, axis=1, keepdims=True)
     elif place == "point":
-        out[:, component] = 1.0
+        out[:, component : component + 1] = 1.0  # a distance has the first component alone
     elif place == "orientation":
         if prediction.rotation is not None:  # where none is measured there is nothing to turn
             out[:, 3:] = prediction.rotation[:, :, component]

@@ -120,7 +120,9 @@ def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.nda
     # The images' products with what was estimated, of unit variance.
     flat = (np.swapaxes(normal.station_root, 1, 2) @ by_station).reshape(-1, k)
     estimated = root @ (by_parameter - normal.reduced.reshape(6 * S, normal.size).T @ flat)
-    score = np.concatenate([by_axis[:3], by_joint, [by_axis[3:].sum()]])
+    axes = np.zeros(4)
+    np.add.at(axes, np.minimum(np.arange(R), 3), by_axis)
+    score = np.concatenate([axes[:3], by_joint, axes[3:]])
     return score, 2 * (square - estimated.T @ estimated - flat.T @ flat)
 
 

@@ -141,6 +141,8 @@ class Cell:
     noise_rad: sigma of a measured orientation about each axis, or None.
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
     room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
+    length_scale: of an instrument that measures the target's distance alone (draw wire, ballbar, interferometer), the relative standard
+    uncertainty of its scale; None for any other. Distances stand in the first coordinate.
     joint_step: rad, to which the joint angles that were recorded in it are rounded; 0 where they are not.
     """
 
@@ -155,6 +157,7 @@ class Cell:
     noise_rad: float | None = None
     room_temperature_C: tuple[float, float] | None = None
     joint_step: float = 0.0
+    length_scale: float | None = None
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)

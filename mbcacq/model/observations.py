@@ -121,9 +121,19 @@ class Observations:
         return len(self.xyz)
 
     @property
+    def width(self) -> int:
+        """Number of rows of one measurement: 3 of a point, 6 of a target's pose, 1 of a distance."""
+        return 1 if self.cell.length_scale else 3 if self.rotation is None else 6
+
+    @property
     def n_recordings(self) -> int:
         """Number of recordings that are taken as one."""
         return 1 if self.recording is None else int(self.recording.max(initial=0)) + 1
+
+    @property
+    def measuring_order(self) -> np.ndarray:
+        """(P,) poses in the order of measuring: of time, where it was recorded."""
+        return np.argsort(np.arange(self.n_poses) if self.time_s is None else self.time_s, kind="stable")
 
     @property
     def shows_target_orientation(self) -> bool:

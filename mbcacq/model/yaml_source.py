@@ -204,7 +204,7 @@ def _explain(error: Any, lines: dict[Path_, int]) -> tuple[Path_, str]:
             return where, f"{name_of(where)} has too few values; add the missing ones"
         return where, f"{name_of(where)} lacks '{last}'; add it"
     if kind == "union_tag_not_found":
-        return where, f"{name_of(where)} lacks 'do'; say which of 'translate', 'look', 'joints'"
+        return where, f"{name_of(where)} lacks 'do'; say which of 'translate', 'look', 'sweep', 'joints', 'scan'"
     if kind == "union_tag_invalid":
         return where, f"{name_of(where)}: do: {error['ctx']['tag']} is not one of {error['ctx']['expected_tags']}; take one of these"
     message = error["msg"][0].lower() + error["msg"][1:]

@@ -18,6 +18,7 @@ from mbcacq.quantities import K
 
 CHUNK = 500_000
 MOST_DRAWN = 60_000
+MAP_CELLS = 60  # along each side
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,18 @@ class CadDeviations:
         return {name: value for name, value in vars(self).items() if name not in ("drawn", "T_base_cad")} | {
             "sentence": self.sentence,
             "T_base_cad": self.T_base_cad.tolist(),
+            "map": self._map(),
         }
+
+    def _map(self) -> dict[str, Any]:
+        """Mean deviation over x and y of the CAD frame, None where there is no point."""
+        x, y, _, along = self.drawn.T
+        edges = [np.linspace(v.min(), v.max(), MAP_CELLS + 1) for v in (x, y)]
+        count = np.histogram2d(y, x, bins=edges[::-1])[0]
+        total = np.histogram2d(y, x, bins=edges[::-1], weights=along)[0]
+        mean = [[None if n == 0 else round(t / n, 6) for t, n in zip(*row, strict=True)] for row in zip(total, count, strict=True)]
+        middles = [((e[1:] + e[:-1]) / 2).tolist() for e in edges]
+        return {"x_mm": middles[0], "y_mm": middles[1], "deviation_mm": mean}
 
 
 def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: PartOptions, *, fit: bool = True) -> CadDeviations:

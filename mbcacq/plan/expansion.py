@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -18,9 +18,11 @@ from mbcacq.plan.ik_selection import select_solutions
 from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths, router_of
-from mbcacq.plan.schema import AnyStep, Look, ScanPart, Taught, Translate, View
+from mbcacq.plan.schema import AnyStep, Look, ScanPart, Sweep, Taught, Translate, View
+from mbcacq.quantities import DEGREE, from_degrees
 
 SAME_POSTURE = 1e-6  # rad, full turns aside
+LARGEST_SWEEP = 60.0 * DEGREE  # of an axis: more is no straight line of the tool any more
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Target:
         Sign asked of the last axis but one.
     where : Path_
         Path of the view, offset or joint vector in the YAML.
+    T_sweep_end : ndarray or None
+        (4, 4), flange at the far end of a sweep that begins and ends at the pose.
     """
 
     step: int
@@ -46,6 +50,7 @@ class Target:
     balls: tuple[int, ...]
     wrist: str
     where: Path_
+    T_sweep_end: np.ndarray | None = None
 
 
 def expand(loaded: LoadedPlan) -> list[PlannedPose]:
@@ -151,22 +156,45 @@ def _of_step(loaded: LoadedPlan, index: int, step: AnyStep) -> Iterator[Target]:
             for centre in aim_points(_artefact(loaded, station), step.balls):
                 for i, view in enumerate(step.views):
                     yield _looking(loaded, station, centre, view, ("steps", index, "views", i))
+    elif isinstance(step, Sweep):
+        yield from _swept(loaded, index, step)
     elif isinstance(step, ScanPart):
-        for station in map(str, step.stations):
-            box = _artefact(loaded, station).box
-            assert box is not None, "the loader takes parts only"
-            top = np.append(box[:, :2].mean(axis=0), box[1, 2])
-            for i, view in enumerate(step.views):
-                point = top if view.at_mm is None else np.array(view.at_mm)
-                yield _looking(loaded, station, point, view, ("steps", index, "views", i))
+        yield from _scanned(loaded, index, step)
     else:
         yield from _taught(loaded, index, step)
+
+
+def _scanned(loaded: LoadedPlan, index: int, step: ScanPart) -> Iterator[Target]:
+    """Views of a part, which has no balls."""
+    for station in map(str, step.stations):
+        box = _artefact(loaded, station).box
+        assert box is not None, "the loader takes parts only"
+        top = np.append(box[:, :2].mean(axis=0), box[1, 2])
+        for i, view in enumerate(step.views):
+            point = top if view.at_mm is None else np.array(view.at_mm)
+            yield _looking(loaded, station, point, view, ("steps", index, "views", i))
+
+
+def _swept(loaded: LoadedPlan, index: int, step: Sweep) -> Iterator[Target]:
+    """Lines through each ball, which the laser plane (y = 0 of the scanner) crosses in their middle."""
+    for station in map(str, step.stations):
+        artefact = _artefact(loaded, station)
+        for ball in artefact.ball_ids if step.balls == "each" else step.balls:
+            centre = artefact.centres[artefact.ball_ids.index(ball)]
+            for i, view in enumerate(step.views):
+                middle = _looking(loaded, station, centre, view, ("steps", index, "views", i))
+                assert middle.T_base_flange is not None, "a view gives it"
+                scanner = middle.T_base_flange @ loaded.cell.T_flange_scanner
+                for angle in from_degrees(step.directions_deg):
+                    half = 0.5 * step.length_mm * scanner[:3, :3] @ np.array([np.sin(angle), np.cos(angle), 0.0])
+                    begin, end = (se3.transform(np.eye(3), way * half) @ middle.T_base_flange for way in (-1.0, 1.0))
+                    yield replace(middle, T_base_flange=begin, T_sweep_end=end, balls=(ball,))
 
 
 def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:
     station = str(step.station)
     for i, pose in enumerate(step.poses_deg):
-        q = np.radians(pose)
+        q = from_degrees(pose)
         balls = step.balls or visible_balls(loaded, station, loaded.cell.robot.chain.flange(q[None])[0])
         yield Target(index, station, None, q, balls, "any", ("steps", index, "poses_deg", i))
 
@@ -196,12 +224,17 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
 
 def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """The joint positions (k, n) rad nearest to home, no more than planning looks at, in their order."""
-    most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
+    most, home = loaded.planning.most_positions, loaded.plan.robot.home
     return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 
 
 def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> PlannedPose:
     step = loaded.plan.steps[target.step]
+    end = None
+    if target.T_sweep_end is not None:
+        end = router_of(loaded).solver.nearest(target.T_sweep_end, q)
+        if end is None or np.abs(end - q).max() > LARGEST_SWEEP:
+            raise ConfigError(unreachable_sentence(loaded, target))
     return PlannedPose(
         number=number,
         step=target.step,
@@ -213,6 +246,7 @@ def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> 
         balls=target.balls,
         exposures=step.exposures or loaded.plan.exposures,
         line=loaded.lines[target.where],
+        sweep=end,
     )
 
 

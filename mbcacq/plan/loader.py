@@ -15,7 +15,7 @@ from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
-from mbcacq.plan.schema import Look, Plan, ScanPart, Taught
+from mbcacq.plan.schema import Look, Plan, ScanPart, Sweep, Taught
 
 PLAN_FORMAT = "mbcacq-plan/1"
 SMALLEST_PART_MM = 5.0
@@ -83,7 +83,7 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     if use.base_to_gravity is not None:
         down = np.array(use.base_to_gravity)
         model = replace(model, gravity=down / np.linalg.norm(down))
-    home = np.radians(use.home_deg)
+    home = use.home
     _check_joints(file, ("robot", "home_deg"), use.home_deg, model)
     outside = np.flatnonzero((home < model.limits[:, 0]) | (home > model.limits[:, 1]))
     if len(outside):
@@ -199,9 +199,8 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
         if step.name in names:
             raise file.error((*where, "name"), f"step '{step.name}' exists already; give each step a name of its own")
         names.add(step.name)
-        wanted = (
-            {("stations", i): s for i, s in enumerate(step.stations)} if isinstance(step, Look | ScanPart) else {("station",): step.station}
-        )
+        several = isinstance(step, Look | Sweep | ScanPart)
+        wanted = {("stations", i): s for i, s in enumerate(step.stations)} if several else {("station",): step.station}
         for place, station in wanted.items():
             if str(station) not in artefact_of:
                 sentence = f"step '{step.name}' names a station '{station}' that the plan does not have (it has {', '.join(artefact_of)})"
@@ -213,7 +212,7 @@ def _check_steps(file: YamlFile, plan: Plan, robot: cell.RobotModel, artefacts: 
                     else "has balls, and 'do: scan' takes parts"
                 )
                 raise file.error((*where, *place), f"step '{step.name}': what stands at station '{station}' {what}; name another station")
-        if isinstance(step, Look) and isinstance(step.balls, tuple):
+        if isinstance(step, Look | Sweep) and isinstance(step.balls, tuple):
             for station in step.stations:
                 _check_balls(file, where, step.name, step.balls, artefact_of[str(station)], station)
         if isinstance(step, Taught):

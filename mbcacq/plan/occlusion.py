@@ -15,7 +15,7 @@ from mbcacq.plan.schema import FieldOfView, Plan
 
 def check_visibility(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     plan, cell = loaded.plan, loaded.cell
-    for pose in poses:
+    for pose in (p for p in poses if p.sweep is None):  # a sweep shows its ball in the middle of its line
         artefact = cell.artefact(pose.artefact)
         if artefact.is_part:
             continue

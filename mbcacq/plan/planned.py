@@ -54,7 +54,8 @@ class LoadedPlan:
 
 @dataclass(frozen=True)
 class PlannedPose:
-    """One pose to take. number: 0.. in running order; q: (n,) rad; balls: certificate ids expected in view; line: in the YAML."""
+    """One pose to take. number: 0.. in running order; q: (n,) rad; balls: certificate ids expected in view; line: in the YAML; sweep: (n,)
+    rad, to which the arm moves and comes back while it is measured, None: it stands."""
 
     number: int
     step: int
@@ -66,6 +67,7 @@ class PlannedPose:
     balls: tuple[int, ...]
     exposures: int
     line: int
+    sweep: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from mbcacq.model.bounds import (
@@ -22,6 +23,7 @@ from mbcacq.model.bounds import (
     Resolution,
 )
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Whole, whole
+from mbcacq.quantities import from_degrees
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
 MOST_PLACES = 100  # at which a plan asks for accuracy
@@ -74,6 +76,11 @@ class RobotUse(Strict):
     base_to_gravity: Direction | None = None  # for an arm on a wall or a ceiling; default: the robot file's
     follow: FollowUse | None = None  # only follow the arm, never move it
     controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
+
+    @property
+    def home(self) -> np.ndarray:
+        """(n,) rad."""
+        return from_degrees(self.home_deg)
 
 
 class FieldOfView(Strict):
@@ -157,6 +164,18 @@ class Look(BallStep):
     balls: Literal["all", "each"] | tuple[Whole, ...] = "all"
 
 
+class Sweep(BallStep):
+    """Let a line scanner's laser plane cross single balls, forth and back, while the arm moves: from every view, in every direction."""
+
+    do: Literal["sweep"]
+    stations: tuple[str | int, ...] = Field(min_length=1)
+    views: tuple[View, ...] = Field(min_length=1)
+    balls: Literal["each"] | tuple[Whole, ...] = "each"
+    directions_deg: tuple[Angle, ...] = Field(default=(0.0,), min_length=1)  # of the line, from across the laser line towards along it
+    length_mm: float = Field(gt=0, le=2000)  # of each line; half a ball more than its diameter lets the speed settle
+    speed_mm_s: float = Field(gt=0, le=2000)  # profile rate times the spacing that is wanted
+
+
 class Taught(BallStep):
     """Joint positions as taught."""
 
@@ -179,7 +198,7 @@ class ScanPart(Step):
     views: tuple[PartView, ...] = Field(min_length=1)
 
 
-AnyStep = Annotated[Translate | Look | Taught | ScanPart, Field(discriminator="do")]
+AnyStep = Annotated[Translate | Look | Sweep | Taught | ScanPart, Field(discriminator="do")]
 
 
 class Obstacle(Strict):

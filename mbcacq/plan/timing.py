@@ -11,8 +11,10 @@ import ruckig
 
 from mbcacq.devices import MotionLimits
 from mbcacq.errors import ConfigError
-from mbcacq.plan.motion_limits import motion_limits
+from mbcacq.plan.motion_limits import motion_limits, sweep_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.schema import Sweep
+from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -33,15 +35,23 @@ def duration(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequenc
     """Time of a whole run, from home to home, at the plan's own speed."""
     limits, plan = motion_limits(loaded), loaded.plan
     stops = stopping_points(loaded, poses, transits)
-    motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops))
+    motion = sum(motion_time(a, b, limits) for a, b in pairwise(stops)) + sum(sweep_time(loaded, pose) for pose in poses)
     changes = sum(a.station != b.station for a, b in pairwise(poses))
-    exposures = sum(p.exposures for p in poses)
+    exposures = sum(p.exposures for p in poses if p.sweep is None)
     return Duration(motion, (len(stops) - 1) * plan.robot.settle_s, exposures * plan.scanner.scan_time_s, changes)
+
+
+def sweep_time(loaded: LoadedPlan, pose: PlannedPose) -> float:
+    """s of a sweep forth and back; 0 for a pose at rest."""
+    step = loaded.plan.steps[pose.step]
+    if pose.sweep is None or not isinstance(step, Sweep):
+        return 0.0
+    return 2 * motion_time(pose.q, pose.sweep, sweep_limits(loaded, pose.q, pose.sweep, step.speed_mm_s))
 
 
 def stopping_points(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
     """Joint positions (n,) rad at which the arm stops, in order, from home to home."""
-    home = np.radians(loaded.plan.robot.home_deg)
+    home = loaded.plan.robot.home
     stops = [home]
     for pose, transit in zip(poses, transits, strict=True):
         stops += [*transit, pose.q]
@@ -67,7 +77,7 @@ def joint_motion(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> ru
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         axis = int(np.argmax(np.abs(end - start) / limits.speed))
         raise ConfigError(
-            f"a motion of {np.degrees(abs(end - start)[axis]):.3g}° of A{axis + 1} at {np.degrees(limits.speed[axis]):.3g} °/s cannot "
+            f"a motion of {in_degrees(abs(end - start)[axis]):.3g}° of A{axis + 1} at {in_degrees(limits.speed[axis]):.3g} °/s cannot "
             "be timed: it would take hours, or its acceleration_time_s or jerk_time_s is extreme; set robot: speed higher (0.05 is slow), "
             "and these times to 0.1 s to 1 s"
         )

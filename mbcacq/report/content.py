@@ -147,13 +147,12 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Spheres:
-    """Quality of the sphere fits: pose, ball (M,) ids, n_points (M,), rms_um (M,); scatter_um (M,) between exposures, or None."""
+    """Quality of the sphere fits: pose, ball (M,) ids, n_points (M,), rms_um (M,)."""
 
     pose: np.ndarray
     ball: np.ndarray
     n_points: np.ndarray
     rms_um: np.ndarray
-    scatter_um: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -330,119 +329,29 @@ class DiagnosisContent:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FleetChart:
-    """One figure of the N recordings of a type of arm.
+class PartContent:
+    """A part whose scans were merged.
 
     Attributes
     ----------
-    arm
-        (N,) index of the arm.
-    value, std
-        (N,) in ``unit``.
-    deviation, limit
-        (N,) deviation from the arm's centre line, and its limit, in ``unit``.
-    outside
-        (N,) bool.
-    usual, permitted
-        Median of the arms and the permitted distance from it, NaN where there are too few.
-    unusual
-        (A,) bool.
+    sentences : list[str]
+        How well the scans agree, and how far the part is from its design.
+    poses : list[str]
+        The poses of each of the k pairs of scans.
+    before_mm, after_mm, expected_mm : ndarray
+        (k,) 3D rms over the overlap of each pair.
+    x_mm, y_mm, deviation_mm : ndarray or None
+        (a,), (b,) and (b, a): map of the mean deviation from the design, NaN where there is no point; None without a design.
     """
 
-    title: str
-    unit: str
-    arm: np.ndarray
-    value: np.ndarray
-    std: np.ndarray
-    deviation: np.ndarray
-    limit: np.ndarray
-    outside: np.ndarray
-    usual: float
-    permitted: float
-    unusual: np.ndarray
-
-
-@dataclass(frozen=True)
-class ArmTypeContent:
-    """The arms of one type. recordings, times (ISO 8601 or ''): of the N recordings, sorted by arm and time."""
-
-    robot: str
-    arms: list[str]
-    recordings: list[str]
-    times: list[str]
-    charts: list[FleetChart]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FleetContent:
-    """A fleet.
-
-    Attributes
-    ----------
-    outliers : list[tuple[str, str, str, str, str, str]]
-        (arm, recording, figure, difference, limit, their ratio).
-    broken : list[tuple[str, str, str, str]]
-        (arm, recording, status, reason).
-    verdicts, effects : list[tuple[str, str]]
-        (name, how often).
-    unlisted : int
-        Number of outliers and broken recordings that are in the table only.
-    caveat : str
-        A sentence that data are simulated; '' where none are.
-    recordings : list[tuple[str, ...]]
-        (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status).
-    """
-
-    headlines: list[tuple[str, str, str]]
-    outliers: list[tuple[str, str, str, str, str, str]]
-    broken: list[tuple[str, str, str, str]]
-    verdicts: list[tuple[str, str]]
-    effects: list[tuple[str, str]]
-    types: list[ArmTypeContent]
-    unlisted: int = 0
-    caveat: str = ""
-    recordings: list[tuple[str, ...]] = field(default_factory=list)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChangeRow:
-    """One change that a figure shows. expanded: U with k = 2, in ``unit``; marked: it is beyond chance."""
-
-    name: str
-    unit: str
-    change: float
-    expanded: float
-    marked: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChangesContent:
-    """Two recordings compared.
-
-    Attributes
-    ----------
-    names : tuple[str, str]
-        Names of the recordings.
-    charts : list[tuple[str, str]]
-        (title, name) of the figures, whose rows ``rows`` has by that name.
-    spacings : list[tuple[str, Spacing]]
-        The verification of each recording that has one, by its name.
-    table : list[tuple[bool, str, str, str, str, str]]
-        (beyond chance, quantity, before, after, change, unit).
-    """
-
-    title: str
-    names: tuple[str, str]
-    headline: str
-    reason: str
-    changed: bool
-    next: Action
-    charts: list[tuple[str, str]]
-    rows: dict[str, list[ChangeRow]]
-    spacings: list[tuple[str, Spacing]]
-    table: list[tuple[bool, str, str, str, str, str]]
-    caveats: list[str]
-    footer: str
+    sentences: list[str]
+    poses: list[str]
+    before_mm: np.ndarray
+    after_mm: np.ndarray
+    expected_mm: np.ndarray
+    x_mm: np.ndarray | None = None
+    y_mm: np.ndarray | None = None
+    deviation_mm: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -474,6 +383,7 @@ class Content:
     correlation: tuple[list[str], np.ndarray] | None = None
     coverage: Coverage | None = None
     spheres: Spheres | None = None
+    part: PartContent | None = None
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     camera: list[tuple[str, str]] = field(default_factory=list)

@@ -5,18 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, Residuals
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, Residuals
+from mbcacq.report.several import FleetContent
 
 
 def report_figures(content: Content) -> dict[str, Figure]:
     """Figures of a report without its diagnosis."""
-    from mbcacq.report.charts import parameter_charts, residual_charts, sphere_charts, workspace_charts
+    from mbcacq.report.charts import parameter_charts, part_charts, residual_charts, sphere_charts, workspace_charts
 
     figures: dict[str, Figure] = {}
     if content.residuals is not None and len(content.residuals.xyz):
         figures |= _residual_figures(content.residuals)
     if (spheres := content.spheres) is not None:
         figures |= {"sphere_rms": sphere_charts.sphere_quality(spheres), "sphere_points": sphere_charts.sphere_points(spheres)}
+    if (part := content.part) is not None:
+        figures["overlaps"] = part_charts.overlaps(part)
+        if part.deviation_mm is not None:
+            figures["deviation_map"] = part_charts.deviation_map(part)
     if content.correlation is not None and len(content.correlation[0]) > 1:
         figures["correlation"] = parameter_charts.correlation(*content.correlation)
     if (accuracy := content.accuracy) is not None:

@@ -194,7 +194,7 @@ def next_action(
     result with the effects that were found, where ``result`` is that one; plan: the plan of the run, '' where the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
-    if of_flange_poses(result):
+    if of_flange_poses(result) or result.get("length_instrument"):
         return Action(*VERIFY_ON_VIEWS, command_line("verify", name, "further-views.csv"))
     action = None
     if not with_effects and found is None:

@@ -30,7 +30,7 @@ class ChangeWatch:
 
     def __call__(self, event: events.Event) -> None:
         """Take what a run tells of itself."""
-        if isinstance(event, events.PoseDone):
+        if isinstance(event, events.PoseDone) and len(event.ball):  # a sweep's balls are found at the end
             self._poses.append(event)
         elif isinstance(event, events.StationReached) and LEAST_POSES <= len(self._poses) <= MOST_POSES:
             self._look()

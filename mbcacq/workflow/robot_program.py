@@ -42,6 +42,8 @@ def robot_program(
     loaded = as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
+    if swept := next((pose for pose in poses if pose.sweep is not None), None):
+        raise ConfigError(f"step '{swept.step_name}' sweeps a line scanner, which a program cannot start and stop; run such a plan instead")
     if done and all(pose.number in done for pose in poses):
         raise ConfigError(f"all {len(poses)} poses are measured already; there is nothing left for a program to do")
     checked = plan_acquisition(loaded, poses, done, 0, "")

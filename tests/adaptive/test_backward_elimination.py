@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
+from mbcacq.design.information_blocks import InformationBlocks
 
 POSES, ROWS, G, K, PAIRS = 12, 4, 9, 5, 2
 

@@ -13,13 +13,13 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.adaptive.backward_elimination import MeasuredInformation
 from mbcacq.design.adaptive.first_block import first_block
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.investigation import Budget, Decision, decisions, sure
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
 from mbcacq.design.adaptive.options import AdaptiveOptions
 from mbcacq.design.adaptive.places import accepted_places, errors_at
 from mbcacq.design.adaptive.questions import SetComparison
 from mbcacq.design.adaptive.visit_choice import predicted
+from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.output.next_measurements import errors_elsewhere
 from mbcacq.model.json_text import fields_as_json, from_fields

@@ -63,6 +63,39 @@ def test_wheels_of_a_gear_are_learnt_each_by_its_own_periods(law):
         assert len(groups) <= 6
 
 
+@pytest.mark.parametrize(
+    ("law", "group", "most"),
+    [
+        ("a link that twists by a tool with its weight aside", "gravity_moment_2smooth", 1.2),
+        ("a base that tilts", "gravity_moment_0smooth", 1.2),
+        ("a mount with clearance", "gravity_direction_6_xsmooth", 1.6),  # by geometry alone 5
+    ],
+)
+def test_a_frame_that_gives_way_is_one_function_and_no_sum_of_those_of_the_joints(law, group, most):
+    """The joints repeat within their data sheet beside the twisting link: its misfit passes for their noise."""
+    off, groups = at_new_places(law, 3)
+    assert group in groups
+    assert off < most * at_new_places("nothing further", 3)[0]
+
+
+def test_beyond_the_angles_that_were_visited_a_joint_is_as_uncertain_as_its_error_was_large():
+    found = calibrate(erring_arm(LAWS["gear errors of orders 2 to 4"], 0)[0])
+    own = [t for t in found.effects.terms if t.depends_on == "q1"]
+    visited = found.fit.observations.q[:1]
+    away = visited + [[np.pi, 0, 0, 0, 0, 0]]
+    assert all(t.ranges["q1"].within("q1", away[:, 0]) < 1e-6 for t in own)
+    assert own
+
+    xyz = found.fit.observations.xyz[:1]
+    inside, outside = (
+        np.trace(found.point_covariance(q, xyz)[0]) - np.trace((A := found.point_columns(q, xyz)[0]) @ found.covariance @ A.T)
+        for q in (visited, away)
+    )
+    lever = np.linalg.norm(found.to_base(away, xyz)[0, :2])  # mm from the first axis
+    assert inside == pytest.approx(0.0, abs=1e-12)
+    assert outside == pytest.approx(lever**2 * sum(t.sigma[0] ** 2 for t in own), rel=1e-2)
+
+
 def test_groups_that_were_sized_by_a_part_of_the_poses_are_learnt_from_all(monkeypatch):
     """As in a recording of thousands of poses; sized by 60 of 96 poses the wind-up is right at new places as if by all of them."""
     whole = at_new_places("elastic A2, A4", 3)[0]

@@ -1,8 +1,12 @@
-"""How far the rms of correlated normalised errors scatters, against Monte Carlo."""
+"""How far the rms of correlated normalised errors scatters, against Monte Carlo; and what no recording of one side of a gear's teeth shows."""
 
 import numpy as np
+from erring_arms import LAWS, erring_arm
 
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.normalised_error import NormalisedError, _degrees_of_freedom
+from mbcacq.calibration.transfer import reversed_loads
 
 
 def test_the_rms_of_correlated_errors_is_within_its_usual_range_in_nineteen_of_twenty_draws():
@@ -19,3 +23,12 @@ def test_the_rms_of_correlated_errors_is_within_its_usual_range_in_nineteen_of_t
     assert abs(2 * mean_square.mean() ** 2 / mean_square.var() / degrees - 1) < 0.06
     low, high = NormalisedError(1.0, 1.0, 1.0, expected_rms=1.0, degrees_of_freedom=degrees).usual
     assert 0.93 < np.mean((low < np.sqrt(mean_square)) & (np.sqrt(mean_square) < high)) < 0.97
+
+
+def test_a_gear_that_is_pushed_to_its_other_side_is_named():
+    """A3 carries 34 to 114 N m in the recording, and -66 to 124 N m at the new places; A2 is pushed so by one pose in eighty."""
+    here, there, _ = erring_arm(LAWS["nothing further"], 3)
+    cell = CalibratedCell.from_dict(calibrate(here).to_dict())
+    (sentence,) = reversed_loads(there, cell)
+    assert sentence.startswith("gravity turns A3 the other way at up to 4% ")
+    assert reversed_loads(here, cell) == ()

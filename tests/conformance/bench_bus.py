@@ -62,7 +62,11 @@ def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
             finally:
                 lift.travel_s = 0.03
 
-        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), begin, lambda: lift.arrived, HASTY)
+        def wrong() -> ModbusPositioner:
+            return make(identity={"where": IDENTITY, "equals": 12})
+
+        facts = {"in position": lambda: setattr(lift, "stuck", True)}
+        yield Stand(make, use, proxies, wrong, begin, lambda: lift.arrived, HASTY, facts=facts)
 
 
 @contextmanager
@@ -160,4 +164,5 @@ def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
             begin,
             lambda: lift.arrived,
             HASTY,
+            facts={"in position": None},
         )

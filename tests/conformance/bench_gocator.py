@@ -60,4 +60,10 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             lambda: Gocator("front", "3504", given),
             begin,
             short_limits=short_limits,
+            facts={
+                "job": lambda: setattr(sensor.files, "loaded_job", "other.job"),
+                "exposure": None,
+                "serial number": None,
+                "firmware": None,
+            },
         )

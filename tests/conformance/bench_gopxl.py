@@ -54,4 +54,10 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             lambda: GoPxL("scanner", "3210", given),
             begin,
             short_limits=short_limits,
+            facts={
+                "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
+                "exposure": None,
+                "serial number": None,
+                "firmware": None,
+            },
         )

@@ -138,5 +138,5 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
             lambda: fake.state.read().standstill,
             {"silence_s": 1.2, "connect_timeout_s": 1.0, "reconnect_s": 0.5},
             output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
-            facts={"load": None, "override": lambda: fake.inject(override=50)},
+            facts={"load": lambda: fake.inject(load_kg=9.0), "override": lambda: fake.inject(override=50)},
         )

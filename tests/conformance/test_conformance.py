@@ -44,7 +44,7 @@ QUICK = {
 
 
 SWITCHES = {"kuka_rsi with EKI", "kuka_eki", "ur_rtde"}
-REPORTS_FACTS = {"ur_rtde", "opcua", "kuka_eki"}
+REPORTS_FACTS = {"ur_rtde", "opcua", "kuka_eki", "gocator", "gopxl", "modbus positioner", "serial positioner"}
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)

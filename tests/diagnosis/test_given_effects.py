@@ -70,6 +70,14 @@ def test_a_tool_that_the_poses_cannot_tell_from_softer_joints_is_named_where_the
         assert own.std > KNOWN
 
 
+def test_what_no_gearbox_can_be_is_not_taken_from_a_motion(recorded):
+    """Joints that wind up by tens of milliradians under the arm's own weight, and joints that rise under it."""
+    problem = prepare(recorded, options_for(recorded, CalibrationOptions()))
+    assert given_effects(problem, of_motion()).labels == ("joint_compliance:A2", "joint_compliance:A3")
+    assert not given_effects(problem, of_motion(5e-3)).members
+    assert not given_effects(problem, of_motion(-SOFT)).members
+
+
 def test_a_cell_calibrated_with_it_has_the_given_effects_as_they_were_given(recorded, searched):
     model = searched.model(("joint_compliance:A2", "joint_compliance:A3", "payload:mount"))
     assert [(t.name, t.held) for t in model.terms] == [("joint_compliance", True), ("joint_compliance", True), ("payload", False)]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import simulated
+from likelihood_gain import best_hyper, gain_at, gains
 
-from mbcacq.challenge.likelihood_gain import best_hyper, gain_at, gains
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring

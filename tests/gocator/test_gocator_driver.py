@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gocator_bench import options
 from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions, actions
+from mbcacq_fakes.protocols.gocator.files import EXPOSURE
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -216,3 +217,17 @@ def test_several_clients_share_one_sensor(fake, driver):
     eventually(lambda: fake.state.data.count == 2, 10.0, "both are accepted")  # what is sent before a connection is accepted is lost to it
     times = [s.capture().time_s for s in (one, two, one, two)]
     assert times == sorted(times)  # sets that another client asked for earlier are passed over
+
+
+def test_an_exposure_that_somebody_else_changes_is_reported_with_the_next_scan(fake, driver):
+    with driver() as scanner:
+        scanner.capture(900.0)
+        assert {fact.name: fact.value for fact in scanner.facts()} == {
+            "job": "bench.job",
+            "exposure": "as set",
+            "serial number": str(fake.options.serial),
+            "firmware": "6.1.32.12",
+        }
+        fake.files.set_number(EXPOSURE, 2000.0)
+        assert scanner.capture(900.0).exposure_us == 2000.0
+        assert {fact.name: fact.value for fact in scanner.facts()}["exposure"] == "2000 us instead of 900 us"

@@ -36,6 +36,17 @@ def test_a_capture_is_the_exposure_that_was_asked_for(sensor, options):
     assert scan.health["cameraTemp0_C"] == 41
 
 
+def test_what_somebody_else_changes_is_reported_with_the_next_scan(sensor, options):
+    with GoPxL("scanner", "3504", options) as scanner:
+        scanner.capture(800.0)
+        before = {fact.name: fact.value for fact in scanner.facts()}
+        assert before == {"job": "bench", "exposure": "as set", "serial number": "12345", "firmware": before["firmware"]}
+        sensor.resources.sensor["exposureSettings"]["singleExposure"] = 2000
+        sensor.resources.loaded_job = "other"
+        assert scanner.capture(800.0).exposure_us == 2000.0
+        assert {fact.name: fact.value for fact in scanner.facts()} == before | {"job": "other", "exposure": "2000 us instead of 800 us"}
+
+
 def test_a_uniform_surface_gives_the_same_plane(sensor, options):
     with GoPxL("scanner", "", {**options, "uniform": True}) as scanner:
         scan = scanner.capture()

@@ -70,7 +70,7 @@ def test_the_driver_reads_exactly_what_both_systems_send():
     frames = {tag for tag in CONFIG["kss"].order if f"{tag}/@X" in sent}
     assert {p for tag in CONFIG["kss"].order for p in ([f"{tag}/@{a}" for a in "XYZABC"] if tag in frames else [tag])} == sent
     attributes = {p.split("@")[1] for p in sent if p.startswith("Robot/State/@")}
-    assert attributes == {name.title().replace("_", "") for name, kind in State.__annotations__.items() if kind == "int"}
+    assert attributes == {name.title().replace("_", "") for name, kind in State.__annotations__.items() if kind in ("int", "float")}
     of_before = {"Robot/State/@Switched", "Robot/State/@SwitchCode"}  # do not know them
     for missing in sorted(sent - of_before - {"Robot/Hello/@Interface", "Robot/Hello/@MachineData", "Robot/Hello/@Model"}):
         element, attribute = missing.split("/@")

@@ -210,7 +210,7 @@ def test_an_arm_that_does_not_follow_gets_no_set_point_any_more(arm):
     one.cycle(2)
     assert one.ended
     assert one.shared.fault()["kind"] == "follow"
-    assert np.abs(one.session._sent[0] - stood[0]) < 12.0
+    assert np.abs(one.session._points.sent[0] - stood[0]) < 12.0
     asked = one.set_point
     one.cycle(300)
     np.testing.assert_array_equal(one.set_point, asked)

@@ -1,5 +1,6 @@
 """A part scanned by the fake cell over the wires, merged by the cell that the same run calibrates, against its true surface."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,9 @@ from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
 from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, surface_of, thinned
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.report.page import render
+from mbcacq.report.sources.from_result import content_of
 from mbcacq.spheres.cloud_file import read_cloud_file
 from mbcacq.workflow.merge_scans import merge_scans
 
@@ -76,6 +80,28 @@ def test_the_cloud_has_one_point_a_voxel_with_its_scan_and_uncertainty(merged):
     assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(normals)), abs=1e-5)
     # The place of the part as a whole is uncertain in the base frame, and does not matter within the part.
     assert np.median(cloud.properties["sigma_base_mm"]) > np.median(cloud.properties["sigma_mm"]) > 0.005
+
+
+def test_the_report_has_a_section_of_the_part(run, merged):
+    content = content_of(run[2].to_dict(), run_info={"merged": json.loads(json.dumps(merged.to_dict()))})
+    assert content.part is not None
+    assert content.part.sentences[0].startswith("The scans of this part agree within")
+    assert len(content.part.poses) == len(merged.agreement.pairs)
+    there = np.isfinite(content.part.deviation_mm)
+    assert there.mean() > 0.5
+    assert abs(np.mean(content.part.deviation_mm[there])) < merged.deviations.U_mm
+    page = render(content)
+    assert 'href="#part"' in page
+    assert "Deviation from the design along its normal" in page
+
+
+def test_what_is_kept_can_be_viewed(merged, tmp_path):
+    figures, recording = merged.write(tmp_path / "kept.ply")
+    assert json.loads(figures.read_text())["agreement"]["pairs"][0]["cells"] >= 30
+    drawn = {
+        entity: len(list(Recording(recording).rows(f"part/{entity}"))) for entity in ("text", "before/0", "after/7", "steps/arrows", "cad")
+    }
+    assert set(drawn.values()) == {1}
 
 
 def test_blocks_change_nothing(run, merged, tmp_path):

@@ -45,8 +45,14 @@ FAULTS = {
         "plan.yaml:1: this plan was written by a newer mbcacq: its format is 'mbcacq-plan/9'",
     ),
     "no format of ours": ([("mbcacq-plan/1", "plan/1")], "plan.yaml:1: format: input should be 'mbcacq-plan/1', not 'plan/1'"),
-    "bad step kind": ([("do: look", "do: dance")], "plan.yaml:19: steps[0]: do: dance is not one of 'translate', 'look', 'joints'"),
-    "step without kind": ([("    do: look\n", "")], "plan.yaml:19: steps[0] lacks 'do'; say which of 'translate', 'look', 'joints'"),
+    "bad step kind": (
+        [("do: look", "do: dance")],
+        "plan.yaml:19: steps[0]: do: dance is not one of 'translate', 'look', 'sweep', 'joints'",
+    ),
+    "step without kind": (
+        [("    do: look\n", "")],
+        "plan.yaml:19: steps[0] lacks 'do'; say which of 'translate', 'look', 'sweep', 'joints'",
+    ),
     "too short a vector": ([("[600, 0, 100]", "[600, 0]")], "plan.yaml:17: stations[1].pose_in_base.translation_mm has too few values"),
     "unknown station": (
         [("stations: [1]", "stations: [1, 7]")],

@@ -135,7 +135,7 @@ def test_options_that_cannot_be_are_named(controller, options, sentence):
 
 def test_a_target_beyond_the_limits_moves_nothing(controller):
     with arm(controller, limits_deg=[[-100, 100]] * 6) as robot:
-        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000°, beyond its limits -100..100°; it stays"):
+        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000°, outside the joint limits -100..100°; nothing was moved"):
             robot.move_to(np.radians([0, -101, 90, -90, -90, 0]), LIMITS)
         assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
 

@@ -16,10 +16,10 @@ from mbcacq_gocator.gopxl.control import JOB_S, STATE_S, GoPxLControl
 from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.points import points_of
 from mbcacq_gocator.gopxl.restore import Found
+from mbcacq_gocator.snapshot_scanner import FINEST_US, exposure_reported
 from mbcacq_gocator.status import meaning
 
 _RECEIVE_BUFFER = 4 * 2**20
-_FINEST_US = 0.51  # a sensor may keep whole microseconds
 
 
 class GoPxLSession:
@@ -42,6 +42,7 @@ class GoPxLSession:
         self._stamped = False
         self._last_frame = -1
         self.exposure_us: float | None = None
+        self.exposure = "as set"
 
     @property
     def scanner(self) -> tree.ScannerPaths:
@@ -84,8 +85,12 @@ class GoPxLSession:
         if state == tree.RUNNING:
             self.control.call(tree.STOP, limit_s=STATE_S)
 
+    def job(self) -> str:
+        """Name of the job that is loaded now."""
+        return str(self.control.read_if_there(tree.JOBS).get("loadedJob", ""))
+
     def _choose_job(self) -> None:
-        loaded = str(self.control.read_if_there(tree.JOBS).get("loadedJob", ""))
+        loaded = self.job()
         if self._first:
             self.found.job = loaded
         wanted = self.options.job
@@ -128,13 +133,13 @@ class GoPxLSession:
 
     def set_exposure(self, exposure_us: float) -> None:
         """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault where another one was taken."""
-        if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < _FINEST_US:
+        if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < FINEST_US:
             return
         self.rest()
         settings = {"exposureMode": tree.SINGLE_EXPOSURE, "singleExposure": exposure_us}
         self.control.update(self.scanner.sensor, {"parameters": {"exposureSettings": settings}})
         self.exposure_us = self._exposure()
-        if self.exposure_us is None or abs(self.exposure_us - exposure_us) > _FINEST_US:
+        if self.exposure_us is None or abs(self.exposure_us - exposure_us) > FINEST_US:
             raise DeviceFault(f"the sensor took an exposure of {self.exposure_us} us instead of {exposure_us:g} us; check its limits")
 
     def _add_output(self) -> None:
@@ -182,6 +187,7 @@ class GoPxLSession:
         self.control.call(self.scanner.trigger, limit_s=STATE_S)
         found = self._wait_for_surface()
         assert found.surface is not None
+        self.exposure = exposure_reported(found.surface.exposure_us, self.exposure_us)
         points, pixel = points_of(found.surface, self.options.right_handed)
         shape = found.surface.raw.shape[:2]
         grey = found.surface.intensity
@@ -192,7 +198,7 @@ class GoPxLSession:
             intensity=None if grey is None else picked(grey, pixel),
             time_s=found.stamp.system_time_s if found.stamp else 0.0,
             frame=found.stamp.frame if found.stamp else 0,
-            exposure_us=self.exposure_us or found.surface.exposure_us,
+            exposure_us=found.surface.exposure_us or self.exposure_us or 0.0,
             measurements={f"output_{number}": value for number, value in found.measurements.items()},
             health=self.health(),
         )

@@ -20,6 +20,7 @@ from mbcacq.devices import (
     MotionLimits,
     RobotState,
     SafetyStop,
+    joint_target,
 )
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
@@ -91,12 +92,11 @@ class KukaEki(ContextDevice):
         )
 
     def facts(self) -> tuple[Fact, ...]:
-        """The load counts from the start of the controller's program, which ends the run; each connection reports it. Tool, base and
-        operating mode end the run by themselves."""
+        """Tool, base and operating mode end the run by themselves."""
         session = self._session
         if session is None or (state := session.state) is None:
             return ()
-        load = () if (hello := session.hello) is None or hello.load_kg < 0 else (Fact("load", hello.load_kg, "kg", 0.05),)
+        load = () if state.load_kg < 0 else (Fact("load", state.load_kg, "kg", 0.05),)
         return (*load, Fact("override", float(state.override), "%", 0.5, critical=False))
 
     def connect(self) -> None:
@@ -122,22 +122,13 @@ class KukaEki(ContextDevice):
         """
         self._refuse_following()
         session = self._check()
-        target = np.degrees(np.asarray(q, dtype=float))
-        if target.shape != (6,):
-            raise ConfigError(f"robot '{self._name}': a target has 6 axes, not {np.shape(q)}")
-        low, high = np.array(self._options.limits_deg).T
-        outside = ~(np.isfinite(target) & (target >= low - 1e-9) & (target <= high + 1e-9))
-        if outside.any():
-            axis = int(np.argmax(outside))
-            raise SafetyStop(
-                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f}°, outside the joint limits "
-                f"{low[axis]:g}..{high[axis]:g}°; nothing was moved"
-            )
+        limits_deg = np.array(self._options.limits_deg)
+        target = np.degrees(joint_target(f"robot '{self._name}'", q, np.radians(limits_deg)))
         speed = np.degrees(np.broadcast_to(np.asarray(limits.speed, dtype=float), (6,)))
         if not (np.isfinite(speed).all() and (speed > 0).all()):
             raise ConfigError(f"robot '{self._name}': speed limits must be positive")
         percent = float(np.floor(np.clip(100.0 * np.min(speed / np.array(self._options.speed_deg_s)) + 1e-9, 1.0, 100.0)))
-        wanted, tolerance = np.clip(target, low, high), float(np.degrees(limits.tolerance))
+        wanted, tolerance = np.clip(target, *limits_deg.T), float(np.degrees(limits.tolerance))
 
         def away(state: State) -> float:
             return float(np.max(np.abs(np.array(state.axis) - wanted))) / tolerance

@@ -52,9 +52,9 @@ class Hello:
 
 @dataclass(frozen=True)
 class State:
-    """One moment. time ms; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done, cancelled, refused: numbers of
-    moves; code: why one was refused (REFUSALS). switched: number of the last switch of an output; switch_code: 0, or why it was not
-    switched (SWITCH_REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
+    """One moment. time ms; load_kg: as at the last move; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done,
+    cancelled, refused: numbers of moves; code: why one was refused (REFUSALS). switched: number of the last switch of an output;
+    switch_code: 0, or why it was not switched (SWITCH_REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
     controller had from us.
     """
 
@@ -77,6 +77,7 @@ class State:
     switched: int
     time: int
     tool: int
+    load_kg: float
     axis: tuple[float, ...]
     cart: tuple[float, ...]
     current: tuple[float, ...]
@@ -130,6 +131,7 @@ def _state(element: Element) -> State:
     integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
     return State(
         **integers,
+        load_kg=_numbers(element, ("LoadKg",))[0],
         axis=_numbers(_child(element, "Axis"), AXES),
         cart=_numbers(_child(element, "Cart"), POSE),
         current=_numbers(_child(element, "Current"), AXES),

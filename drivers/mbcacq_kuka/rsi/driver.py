@@ -27,6 +27,7 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
     SystemRefused,
+    joint_target,
     signals_deferred,
 )
 from mbcacq_kuka.controller_files import rsi_files
@@ -149,10 +150,7 @@ class KukaRsi(ContextDevice):
             raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
         self._mover = threading.get_ident()
         process = self._check()
-        target = np.degrees(np.asarray(q, dtype=float))
-        if target.shape != (6,):
-            raise ConfigError(f"robot '{self._name}': a target has 6 axes, not {np.shape(q)}")
-        self._check_target(process, target)
+        target = self._checked(process, q)
         self._pending = PendingMove(process.last()["q"], target, self._command(target, limits))
         self._move_seq = process.send(self._pending.command)
 
@@ -336,7 +334,7 @@ class KukaRsi(ContextDevice):
         self._move_seq = 0
         if pending is None:
             return process
-        self._check_target(process, pending.target)
+        self._checked(process, np.radians(pending.target))
         self._pending, self._move_seq = pending, process.send(pending.command)
         while True:
             row = process.last()
@@ -346,7 +344,8 @@ class KukaRsi(ContextDevice):
                 raise error
             time.sleep(_POLL_S)
 
-    def _check_target(self, process: CycleProcess, target: np.ndarray) -> None:
+    def _checked(self, process: CycleProcess, q: np.ndarray) -> np.ndarray:
+        """A target (6,) rad in deg. Raises ConfigError, SafetyStop."""
         low, high = self._limits.T
         where = "joint limits"
         if self._options.correction_limit_deg is not None:
@@ -354,10 +353,4 @@ class KukaRsi(ContextDevice):
             narrow = (start - reach > low) | (start + reach < high)
             low, high = np.maximum(low, start - reach), np.minimum(high, start + reach)
             where = "limits of its RSI correction" if narrow.any() else where
-        outside = ~(np.isfinite(target) & (target >= low - 1e-9) & (target <= high + 1e-9))
-        if outside.any():
-            axis = int(np.argmax(outside))
-            raise SafetyStop(
-                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f}°, outside the {where} "
-                f"{round(low[axis], 2):g}..{round(high[axis], 2):g}°; nothing was moved"
-            )
+        return np.degrees(joint_target(f"robot '{self._name}'", q, np.radians(np.stack([low, high], axis=1)), where))

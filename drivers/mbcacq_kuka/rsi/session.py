@@ -1,10 +1,9 @@
 """One RSI session: which answer each telegram gets, and what ends the motion. No sockets, no clock of its own.
 
 Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They advance by one set
-point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. Where an answer was not used, or a
-telegram never came, the controller has held the set point before it. The motion goes on from there, from rest, so that the path it sees
-stays within the limits. A telegram that was kept on its way (see punctuality) is answered with the set point before it. No controller takes
-that answer, and one that hides it in its Delay must not fall behind the set points.
+point (see set_points) an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. A telegram that was
+kept on its way (see punctuality) is answered with the set point before it. No controller takes that answer, and one that hides it in its
+Delay must not fall behind the set points.
 
 The first fault is kept. It brakes the arm, then ends the controller's session. If the arm does not follow its commands, the session is
 ended at once. If the controller may have begun a new one, nothing is answered any more. docs/safety.md has the argument.
@@ -24,14 +23,12 @@ from typing import Any
 from mbcacq_kuka.rsi.arrival import Arrival, too_coarse
 from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, SessionFault, set_point_moved
 from mbcacq_kuka.rsi.lateness import Lateness
-from mbcacq_kuka.rsi.mode import Proof
-from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
-from mbcacq_kuka.rsi.plausibility import ArmPlausibility, proof_fault
+from mbcacq_kuka.rsi.plausibility import ArmPlausibility
 from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
+from mbcacq_kuka.rsi.set_points import SetPoints
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
 from mbcacq_kuka.rsi.standstill import Standstill
-from mbcacq_kuka.rsi.step_limits import StepLimits
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
 
 _REST_CYCLES = 5  # standing still so long is being at rest
@@ -152,7 +149,7 @@ class RsiSession:
         if not self._closing:
             self._closing, self._close_began = True, now
             if self.connected:
-                self._brake()
+                self._points.brake()
             elif self._handshake.layout is not None and not self._muted and not self._follows:
                 self._handshake.give_up()
                 return
@@ -183,7 +180,7 @@ class RsiSession:
                 muted=True,
             )
         if kind == REPEATED and silent > WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
-            return self._compose(digits, self._sent, self._stop)
+            return self._compose(digits, self._points.sent, self._stop)
         if kind != NEXT:
             return None
         held_up = self._punctuality.held_up(now)
@@ -209,21 +206,18 @@ class RsiSession:
         return answer
 
     def _reply_next(self, layout: Layout, digits: bytes, row: list[float], taken: Taken) -> bytes:
-        steps, in_time = taken.steps, taken.in_time
+        points, steps, in_time = self._points, taken.steps, taken.in_time
         if steps > 1 and not self._follows and set_point_moved(layout, row):
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
         delay = nan if layout.delay is None else row[layout.delay]
         rise = self._lateness.rise(delay, self._sequence.count * layout.tick_s) if isfinite(delay) else 0.0
         rejected = rise > self._unanswered
-        if rejected:
-            self._sent, self._sent_moving = self._used, self._used_moving
-        else:
-            self._used, self._used_moving = self._sent, self._sent_moving
+        points.reject() if rejected else points.accept()
         if rejected or self._unanswered:
-            self._go_on_from_rest()
+            points.go_on_from_rest()
         elif in_time and not taken.held_up:
-            self._advance()
+            points.advance()
         self._unanswered = 0 if in_time else self._unanswered + 1
         self._taken = taken
         if self._lateness.too_many:
@@ -234,7 +228,7 @@ class RsiSession:
                     f"{self._settings['late_limit']}); check the network, the load of this computer and sen_type",
                 )
             )
-        return self._compose(digits, self._sent, self._stop)
+        return self._compose(digits, self._points.sent, self._stop)
 
     def _begin(self, layout: Layout) -> None:
         settings = self._settings
@@ -242,16 +236,11 @@ class RsiSession:
         window = max(1, round(settings["ride_out_s"] / self.cycle_s))
         self._sequence = Sequence(int(digits), layout.step, window, self.counts)
         self._lateness = Lateness(0.0 if layout.delay is None else row[layout.delay], settings["late_limit"], settings["late_window_s"])
-        joint_limits = [tuple(pair) for pair in settings["limits_deg"]]
-        self._motion = RsiMotion(layout.reference, self.cycle_s, joint_limits)
-        self._step_limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], self.cycle_s)
+        self._points = SetPoints(layout, settings, self.cycle_s, self._fail)
         measured = self._measured = layout.axes(row)
         self._plausibility = ArmPlausibility(layout.reference, measured, settings, self.cycle_s)
         self._standstill = Standstill(measured, layout.noise_deg, self.cycle_s)
-        self._proof = None if layout.carries_out else layout.proof(settings)
-        self._sent = self._used = self._next = layout.reference
-        self._sent_moving = self._used_moving = self._next_moving = self._stop = self._faulted = self._at_once = False
-        self._consumed = True
+        self._stop = self._faulted = self._at_once = False
         self._shared.decimals = layout.decimals
         self._command = self._seq
         self._shared.begin(layout.parser.names)
@@ -264,8 +253,8 @@ class RsiSession:
         assert layout is not None  # nothing is rendered in advance before the session has begun
         self._sequence.take(self._sequence.next)
         self._punctuality.take(self.last_heard, 1)
-        self._used, self._used_moving = self._sent, self._sent_moving
-        self._advance()
+        self._points.accept()
+        self._points.advance()
         try:
             _, row = layout.parser.parse(self._data)
         except Malformed as error:
@@ -274,35 +263,6 @@ class RsiSession:
             raise SessionFault("protocol", "a telegram came without AIPos")
         return Taken(row)
 
-    def _advance(self) -> None:
-        """The prepared set point goes to the controller."""
-        self._sent, self._sent_moving, self._consumed = self._next, self._next_moving, True
-
-    def _go_on_from_rest(self) -> None:
-        """The controller held ``sent`` meanwhile. It gets it once more; from the next answer on the motion goes on."""
-        self._motion.hold(self._sent)
-        self._step_limits.rest(self._sent)
-        self._sent_moving, self._consumed = self._moves, True
-
-    def _step(self) -> None:
-        """The next set point, once it was seen to be within the axes' limits; one that is not is replaced by braking."""
-        try:
-            if self._proof is not None and self._proof.wanted is not None and not self._at_once:
-                self._prove(self._proof)
-            position = self._motion.step()
-        except MotionRefused as error:
-            self._fail(SessionFault("refused", str(error)))
-            position = self._motion.step()
-        if refusal := self._step_limits.refusal(position):
-            self._motion.brake_instead(self._step_limits.dynamics)
-            position = self._motion.step()
-            still = self._step_limits.refusal(position)
-            self._fail(SessionFault("refused", f"{refusal}; that set point was not sent", muted=bool(still)))
-            if still:  # nothing is sent any more, the controller stops the arm
-                return
-        self._step_limits.take(position)
-        self._next, self._next_moving = position, self._moves
-
     def _prepare(self, now: float) -> None:
         """Everything about the next answer, so that it only waits for its telegram."""
         layout = self._layout
@@ -310,11 +270,9 @@ class RsiSession:
             self._ready = None
             return
         self._poll_command(now)
-        if self._consumed:
-            self._consumed = False
-            self._step()
-            if self._muted:
-                return
+        self._points.prepare(self._measured)
+        if self._muted:
+            return
         self._stop = self._ending(now)
         if self._unanswered or self._muted:  # a controller that counts nothing must not get the next set point as if it had the last
             self._ready = None
@@ -324,34 +282,21 @@ class RsiSession:
             found = _DELAY.search(self._data)
             delay = found[0] if found else b"?"
         digits = b"%d" % self._sequence.next
-        self._ready = (b"<IPOC>" + digits + b"</IPOC>", delay, self._compose(digits, self._next, self._stop))
+        self._ready = (b"<IPOC>" + digits + b"</IPOC>", delay, self._compose(digits, self._points.next, self._stop))
 
     def _judge(self, taken: Taken, now: float) -> None:
         layout = self._layout
         assert layout is not None  # as above
         measured, time_s = layout.axes(taken.row), self._sequence.count * layout.tick_s
-        self._standstill.take(measured, self._sent_moving)
-        if not self._used_moving:
+        self._standstill.take(measured, self._points.sent_moving)
+        if not self._points.used_moving:
             self._arrival.judge(self._standstill.mean, time_s)
         flags = 0 if self._standstill.cycles >= _REST_CYCLES else MOVING
         flags |= (ARRIVED if self._arrival.arrived else 0) | (ANSWERED if taken.in_time else 0)
-        self._shared.append(now, time_s, flags, self._command, self.counts, self._sent, taken.row)
+        self._shared.append(now, time_s, flags, self._command, self.counts, self._points.sent, taken.row)
         self._command = self._seq
         self._measured = measured
-        self._plausibility.check(self._sent, measured, taken.steps)
-
-    @property
-    def _moves(self) -> bool:
-        return self._motion.moving or self._proof is not None and self._proof.wanted is not None
-
-    def _prove(self, proof: Proof) -> None:
-        """No motion begins before an absolute correction was seen to be carried out. Raises MotionRefused."""
-        proof.advance(self._motion, self._measured)
-        if (fault := proof_fault(proof, self._settings)) is not None:
-            self._fail(fault)
-        elif proof.seen and proof.wanted is not None:
-            self._proof = None
-            self._motion.move(proof.wanted)
+        self._plausibility.check(self._points.sent, measured, taken.steps)
 
     @property
     def _layout_now(self) -> Layout:
@@ -379,7 +324,7 @@ class RsiSession:
         elif not self.connected or self._shared.fault() is not None or self._closing:
             return
         elif command.kind == STOP:
-            self._brake()
+            self._points.brake()
             self._arrival.abandon()
         elif command.kind == MOVE and self._follows:
             self._fail(SessionFault("refused", "the arm is only followed; nothing was moved"))
@@ -388,34 +333,17 @@ class RsiSession:
 
     def _begin_move(self, command: RsiCommand) -> None:
         self._arrival.begin(command)
-        self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
-        if refusal := self._step_limits.too_fast(command):
-            self._fail(SessionFault("refused", refusal))
-        elif coarse := too_coarse(self._layout_now.decimals, command):
+        if coarse := too_coarse(self._layout_now.decimals, command):
             self._fail(SessionFault("coarse", coarse))
-        elif self._proof is not None:
-            self._proof.ask(command)
         else:
-            try:
-                self._motion.move(command)
-            except MotionRefused as error:
-                self._fail(SessionFault("refused", str(error)))
-
-    def _brake(self) -> None:
-        if self._proof is None:
-            self._motion.stop()
-            return
-        try:
-            self._proof.stop(self._motion)  # not known to be absolute: back to zero, where an arm of either kind stands
-        except MotionRefused:
-            self._motion.stop()
+            self._points.move(command)
 
     def _ending(self, now: float) -> bool:
         """Whether the controller is to end its session: at once after a fault of an arm that does not do what it is told, else once the arm
         stands. Where it cannot be told to, it is not answered any more."""
         if not (self._closing or self._faulted):
             return False
-        if self._used_moving and not self._at_once:
+        if self._points.used_moving and not self._at_once:
             self._rest_since = None
             return False
         self._rest_since = now if self._rest_since is None else self._rest_since
@@ -437,10 +365,5 @@ class RsiSession:
         if fault.muted:
             self._muted, self._ready = True, None
         if self.connected and not self._faulted:
-            self._faulted, self._at_once, self._unproven = True, fault.kind in _AT_ONCE, self._proof is not None
-            if self._at_once:
-                self._motion.freeze(self._sent)
-                self._step_limits.rest(self._sent)
-                self._sent_moving, self._consumed = False, True
-            else:
-                self._brake()
+            self._faulted, self._at_once, self._unproven = True, fault.kind in _AT_ONCE, self._points.unproven
+            self._points.freeze() if self._at_once else self._points.brake()

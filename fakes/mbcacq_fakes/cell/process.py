@@ -26,6 +26,7 @@ from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_fakes.world.line_camera import LineCamera
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import Optics
@@ -109,6 +110,7 @@ class Servers:
             "jobs": tuple(filter(None, (given.get("job", ""),))) + ("bench.job", "other.job"),
             "scan_time_s": 0.15 if self._job["realtime"] else 0.0,
             "volume": _volume(self._job["facts"].view),
+            "profiles": given.get("mode") == "profile",
             **place,
             **options.scanner,
         }
@@ -138,6 +140,7 @@ class Servers:
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
         if self._job["scanner_driver"] == "gopxl":
+            settings.pop("profiles")
             from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 
             _refuse_unknown(given, FakeGoPxLOptions)
@@ -145,7 +148,8 @@ class Servers:
         from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 
         _refuse_unknown(given, FakeGocatorOptions)
-        return FakeGocator(self._camera, FakeGocatorOptions(**settings))
+        line = LineCamera(self._camera, self._state) if settings.get("profiles") else None
+        return FakeGocator(self._camera, FakeGocatorOptions(**settings), line)
 
     def _start_positioner(self) -> dict[str, Any]:
         driver, given = self._job["positioner"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import ruckig
 
-from mbcacq.devices import ConfigError, ContextDevice, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop
+from mbcacq.devices import ConfigError, ContextDevice, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop, joint_target
 
 CYCLE_S = 0.004
 CYCLES_AT_ONCE = 25  # of a motion, per look at the state
@@ -91,16 +91,7 @@ class SimulatedRobot(ContextDevice):
             raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
         with self._lock:
             self._check()
-            target = np.asarray(q, dtype=float)
-            if target.shape != self._q.shape:
-                raise ConfigError(f"robot '{self._name}': a target has {len(self._q)} axes, not {target.shape}")
-            low, high = self._limits.T
-            outside = ~np.isfinite(target) | (target < low - 1e-9) | (target > high + 1e-9)
-            if outside.any():
-                axis = int(np.argmax(outside))
-                raise SafetyStop(
-                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f}°, beyond its limits; it stays"
-                )
+            target = joint_target(f"robot '{self._name}'", q, self._limits)
             bounds = [np.broadcast_to(np.asarray(v, dtype=float), target.shape) for v in (limits.speed, limits.acceleration, limits.jerk)]
             if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):
                 raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")

@@ -45,7 +45,7 @@ class Camera:
         poses_before: int = 0,
     ) -> None:
         self.world, self.scanner, self.operator = world, scanner, operator
-        self._arm, self._options, self._clock_start = arm, options, clock_start_s
+        self._arm, self._options, self.clock_start_s = arm, options, clock_start_s
         self._stand: Callable[[], int | None] = lambda: None
         self._mishaps = list(options.mishaps)
         self._right_exposure, self._frames = right_exposure_us, 0
@@ -83,8 +83,7 @@ class Camera:
 
     def moment(self, reading: Any) -> Moments:
         q = np.array(reading.q)
-        stand = self._stand()
-        station = self.operator.station_for(q) if stand is None else stand
+        station, artefact = self.standing(q)
         arrival = self._drawn + reading.arrivals if self._options.draws == "course" else BY_POSE + self.operator.pose_for(q)
         return self.world.moments(
             q[None],
@@ -93,8 +92,14 @@ class Camera:
             np.array([arrival]),
             np.array([self._time(reading)]),
             np.array([station]),
-            np.array([self.operator.artefact_at(station)]),
+            np.array([artefact]),
         )
+
+    def standing(self, q: np.ndarray) -> tuple[int, int]:
+        """Index of the station that is served for an arm at q (n,) rad, and of the artefact that stands there."""
+        stand = self._stand()
+        station = self.operator.station_for(q) if stand is None else stand
+        return station, self.operator.artefact_at(station)
 
     def temperatures(self) -> dict[str, float]:
         """What the cell's thermometers show now."""
@@ -107,7 +112,7 @@ class Camera:
         self._mishaps.append(mishap)
 
     def _time(self, reading: Any) -> float:
-        return max(reading.time_s - self._clock_start, 0.0)
+        return max(reading.time_s - self.clock_start_s, 0.0)
 
     def _brightness(self, exposure_us: float) -> float:
         """Light relative to the right exposure, which is the plan's, or the first one asked for."""

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
+from mbcacq.design.information_blocks import InformationBlocks
 
 SIX = 6  # parameters of the place of a station
 LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: rounding

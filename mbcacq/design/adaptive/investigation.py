@@ -15,7 +15,16 @@ from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.description import likely_cause_named
 from mbcacq.design.adaptive.first_block import first_block
-from mbcacq.design.adaptive.next_plan import MOST_NAMED, NextPoses, choose_next, pair_in_words, set_in_words, steps_of
+from mbcacq.design.adaptive.next_plan import (
+    MOST_NAMED,
+    NextPoses,
+    choose_next,
+    costs_of,
+    moved_artefacts,
+    pair_in_words,
+    set_in_words,
+    steps_of,
+)
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.design.adaptive.questions import doubtful
@@ -262,14 +271,7 @@ def _visits(grown: LoadedPlan) -> int:
 
 def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:
     """Moves of artefacts, and seconds that a recording took or was planned to take."""
-    from mbcacq.design.adaptive.next_plan import costs_of
-
-    costs, moves, at = costs_of(loaded, None), 0, dict[str, str]()
-    order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
-    for index in obs.station[order]:
-        station = obs.cell.stations[int(index)]
-        moves += at.get(station.artefact) != station.id
-        at[station.artefact] = station.id
+    costs, moves = costs_of(loaded, None), moved_artefacts(obs)[0]
     return moves, moves * costs.move_s + obs.n_poses * costs.pose_s
 
 

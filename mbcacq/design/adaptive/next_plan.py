@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import accepted_places
 from mbcacq.design.adaptive.pool import not_measured, reachable_views, routed, shortest_order
 from mbcacq.design.adaptive.questions import differ_by_direction, differ_in_time
 from mbcacq.design.adaptive.visit_choice import OpenPair, Visit, VisitChoice, VisitCosts
+from mbcacq.design.plan_rewriter import seen_from
 from mbcacq.diagnosis.findings import TOGETHER, Advice
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
@@ -23,6 +21,7 @@ from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.plan.feasibility import check
+from mbcacq.quantities import in_degrees
 
 DIGITS = 3  # of an angle in degrees: a hundredth of what arms repeat
 MOST_NAMED = 3  # effects that a sentence names
@@ -70,7 +69,7 @@ class NextPoses:
         return tuple(
             Advice(
                 f"{why}: measure {len(v.poses)} poses at station {v.station}",
-                tuple(tuple(float(a) for a in np.degrees(p.q).round(DIGITS)) for p in v.poses),
+                tuple(tuple(float(a) for a in in_degrees(p.q).round(DIGITS)) for p in v.poses),
             )
             for v in self.visits
         )
@@ -95,14 +94,20 @@ def pair_in_words(pair: OpenPair) -> str:
 
 def costs_of(loaded: LoadedPlan, measured: Observations | None, options: AdaptiveOptions = OPTIONS) -> VisitCosts:
     """Seconds of a pose and of moving an artefact, and where each artefact stands after the last measured pose."""
-    plan, at = loaded.plan, dict[str, str]()
-    if measured is not None:
-        for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
-            station = measured.cell.stations[measured.station[k]]
-            at[station.artefact] = station.id
+    plan, at = loaded.plan, {} if measured is None else moved_artefacts(measured)[1]
     pose_s = options.pose_s + plan.exposures * plan.scanner.scan_time_s
     by_hand = plan.positioner.driver == "manual"
     return VisitCosts(pose_s, options.move_by_hand_s if by_hand else options.move_by_positioner_s, at, options.look_s)
+
+
+def moved_artefacts(measured: Observations) -> tuple[int, dict[str, str]]:
+    """How often artefacts were moved while a recording was made, and the station at which each stands after it."""
+    moves, at = 0, dict[str, str]()
+    for k in measured.measuring_order:
+        station = measured.cell.stations[measured.station[k]]
+        moves += at.get(station.artefact) != station.id
+        at[station.artefact] = station.id
+    return moves, at
 
 
 def choose_next(
@@ -198,7 +203,7 @@ def steps_of(loaded: LoadedPlan, visits: Sequence[Visit], first: int = 1) -> lis
                 "phase": "position",
                 "do": "joints",
                 "station": int(visit.station) if visit.station.isdecimal() else visit.station,
-                "poses_deg": [[float(a) for a in np.degrees(p.q).round(DIGITS)] for p in poses],
+                "poses_deg": [[float(a) for a in in_degrees(p.q).round(DIGITS)] for p in poses],
             }
             out.append(step if balls is None else {**step, "balls": list(balls)})
     return out
@@ -212,18 +217,10 @@ def _by_itself(loaded: LoadedPlan, pose: PlannedPose) -> tuple[int, ...] | None:
 
 def _moved_files(data: dict[str, Any], before: Path, folder: Path) -> None:
     """Names of files, which are relative to a plan, as seen from another folder."""
-    before, folder = before.resolve(), folder.resolve()
-    if before == folder:
+    if before.resolve() == folder.resolve():
         return
-
-    def seen(name: str) -> str:
-        try:
-            return Path(os.path.relpath(before / name, folder)).as_posix()
-        except ValueError:  # another drive of Windows
-            return str(before / name)
-
     robot = data["robot"]
     for key in ("model", "urdf"):
         if robot.get(key) is not None:
-            robot[key] = seen(robot[key])
-    data["artefacts"] = [seen(name) for name in data["artefacts"]]
+            robot[key] = seen_from(folder, before / robot[key])
+    data["artefacts"] = [seen_from(folder, before / name) for name in data["artefacts"]]

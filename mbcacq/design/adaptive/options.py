@@ -51,7 +51,6 @@ class AdaptiveOptions:
 
     columns: int = 6  # combinations of the coefficients of a rival set that are kept, those that displace most first: the others cannot
     # stand in for anything
-    rows: int = 12  # combinations of a pose's coordinates that are kept, largest first: six of a rigid view, and distortion
 
 
 OPTIONS = AdaptiveOptions()

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 
 from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.next_plan import costs_of
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import routed
 from mbcacq.design.adaptive.questions import Questions, questions
 from mbcacq.design.candidate_views import CandidateView, candidates
+from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.design.options import DesignOptions
-from mbcacq.design.plan_rewriter import position_step, with_position_steps
+from mbcacq.design.plan_rewriter import by_station, position_step, with_position_steps
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.expansion import aim_points, expand_reachable
-from mbcacq.plan.schema import Look, View
+from mbcacq.plan.schema import Look
 
 AT_ONCE = 8  # poses that are left out together while there are twice as many as are wanted
 
@@ -53,17 +53,6 @@ class PlanOrder:
     tried: int
 
 
-@dataclass(frozen=True)
-class _Item:
-    """A pose that may be chosen, with the view of the plan that leads to it."""
-
-    station: str
-    aim: int | None
-    view: View
-    pose: PlannedPose
-    given: bool
-
-
 def ordered(loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 40.0, seed: int = 0) -> PlanOrder:
     """The plan with its 'position' poses, or ``count`` better ones, in blocks of which each is the best continuation of those before it.
 
@@ -71,49 +60,47 @@ def ordered(loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 
     information on all effects of the catalogue per second of motion, scan and artefact move. The poses of the other phases stay. Raises
     ConfigError where the plan has no 'position' step that looks at stations.
     """
-    kept, items = _items(loaded, steepest_deg, seed)
-    own = sum(item.given for item in items)
-    count = min(count or own, len(items))
+    kept, own, drawn = _views(loaded, steepest_deg, seed)
+    items = [*own, *drawn]
+    count = min(count or len(own), len(items))
     blocks, asked, before = _information(loaded, kept, [item.pose for item in items])
-    given = np.array([item.given for item in items])
-    whole = _value(asked, before.with_poses(blocks.select(np.flatnonzero(given))).squares)
-    rank = _elimination_order(loaded, items, blocks, asked, before, count)
+    whole = asked.hidden(before.with_poses(blocks.select(np.arange(len(own)))).squares)
+    rank = _elimination_order(loaded, [item.station for item in items], blocks, asked, before, count)
     sizes = [n for n in (OPTIONS.first_block, OPTIONS.second_block) if n < count] + [count]
-    shares = [_value(asked, before.with_poses(blocks.select(rank[:n])).squares) / max(whole, 1e-12) for n in sizes]
+    shares = [float(asked.hidden(before.with_poses(blocks.select(rank[:n])).squares) / max(whole, 1e-12)) for n in sizes]
     steps = []
     for number, (a, b) in enumerate(zip([0, *sizes[:-1]], sizes, strict=True), 1):
         steps += _steps_of_block(number, [items[k] for k in rank[a:b]], [s.id for s in loaded.cell.stations])
     lengths = tuple(b - a for a, b in zip([0, *sizes[:-1]], sizes, strict=True))
-    return PlanOrder(with_position_steps(loaded, steps), count, lengths, tuple(float(s) for s in shares), len(items))
+    return PlanOrder(with_position_steps(loaded, steps), count, lengths, tuple(shares), len(items))
 
 
 def best_of_plan(loaded: LoadedPlan, count: int) -> list[PlannedPose]:
     """The ``count`` poses of a plan, those that judge it left out, that show most of all effects per second."""
     reachable, _ = expand_reachable(loaded)
     poses = [p for p in reachable if p.phase != "verification"]
-    items = [_Item(p.station, None, View(), p, True) for p in poses]
     blocks, asked, before = _information(loaded, [], poses)
-    rank = _elimination_order(loaded, items, blocks, asked, before, count)
+    rank = _elimination_order(loaded, [p.station for p in poses], blocks, asked, before, count)
     return [poses[k] for k in sorted(rank[:count].tolist())]
 
 
-def _items(loaded: LoadedPlan, steepest_deg: float, seed: int) -> tuple[list[PlannedPose], list[_Item]]:
-    """Poses that stay, and those among which is chosen: of the plan's 'position' steps and random views at their stations."""
+def _views(loaded: LoadedPlan, steepest_deg: float, seed: int) -> tuple[list[PlannedPose], list[CandidateView], list[CandidateView]]:
+    """Poses that stay, and views among which is chosen: of the plan's 'position' steps, and random ones at their stations."""
     reachable, unreachable = expand_reachable(loaded)
     if unreachable:
         raise ConfigError(f"{loaded.path}: {len(unreachable)} poses cannot be reached; mbcacq plan check {loaded.path} names them")
     kept = [p for p in reachable if p.phase in ("translation", "orientation")]
-    items = [item for index, step in enumerate(loaded.plan.steps) for item in _of_step(loaded, index, step, reachable)]
-    if not items:
+    own = [view for index, step in enumerate(loaded.plan.steps) for view in _of_step(loaded, index, step, reachable)]
+    if not own:
         raise ConfigError(f"{loaded.path}: there is no step 'do: look' of phase 'position' whose poses could be ordered; add one")
-    stations = list(dict.fromkeys(item.station for item in items))
-    aims = {item.station: item.aim is None for item in items}
-    found: list[CandidateView] = candidates(loaded, stations, steepest_deg, seed, DesignOptions(views_per_station=OPTIONS.views_of_order))
-    drawn = [_Item(c.station, c.aim, c.view, replace(c.pose, phase="position"), False) for c in found if aims[c.station] == (c.aim is None)]
-    return kept, [*items, *(item for item in drawn if routed(loaded, item.pose))]
+    stations = list(dict.fromkeys(view.station for view in own))
+    aims = {view.station: view.aim is None for view in own}
+    found = candidates(loaded, stations, steepest_deg, seed, DesignOptions(views_per_station=OPTIONS.views_of_order))
+    drawn = [replace(c, pose=replace(c.pose, phase="position")) for c in found if aims[c.station] == (c.aim is None)]
+    return kept, own, [view for view in drawn if routed(loaded, view.pose)]
 
 
-def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[PlannedPose]) -> list[_Item]:
+def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[PlannedPose]) -> list[CandidateView]:
     """The poses of a step that looks at stations, each with its view, in the order in which they are expanded."""
     if not isinstance(step, Look) or step.phase != "position":
         return []
@@ -124,7 +111,7 @@ def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[Plan
         assert len(aims) == len(aim_points(artefact, step.balls)), "one aim for each point that is looked at"
         views += [(station, aim, view) for aim in aims for view in step.views]
     poses = [p for p in reachable if p.step == index]
-    return [_Item(station, aim, view, pose, True) for (station, aim, view), pose in zip(views, poses, strict=True)]
+    return [CandidateView(station, aim, view, pose) for (station, aim, view), pose in zip(views, poses, strict=True)]
 
 
 def _information(
@@ -133,7 +120,7 @@ def _information(
     """Blocks of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
     every = [*kept, *poses]
     obs = planned_observations(loaded, [replace(p, number=k) for k, p in enumerate(every)])
-    home = np.radians(loaded.plan.robot.home_deg)
+    home = loaded.plan.robot.home
     obs = replace(obs, direction=np.sign(obs.q - home).astype(int))  # as if each were the first after home
     linear = LinearProblem.of(obs, planned_state(loaded))
     asked = questions(None, linear, timeless=True)
@@ -144,13 +131,14 @@ def _information(
 
 
 def _elimination_order(
-    loaded: LoadedPlan, items: Sequence[_Item], blocks: InformationBlocks, asked: Questions, before: MeasuredInformation, count: int
+    loaded: LoadedPlan, stations: Sequence[str], blocks: InformationBlocks, asked: Questions, before: MeasuredInformation, count: int
 ) -> np.ndarray:
-    """Indices of all items, the one that was left out last first: what is missed least per second that is saved goes first. The poses of
-    the first block have no order among themselves: so few that they hardly determine the geometry say little of each other but rounding.
+    """Indices of all poses, at these stations, the one that was left out last first: what is missed least per second that is saved goes
+    first. The poses of the first block have no order among themselves: so few that they hardly determine the geometry say little of each
+    other but rounding.
     """
     elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None)
-    station = np.unique([item.station for item in items], return_inverse=True)[1]
+    station = np.unique(stations, return_inverse=True)[1]
     gone = list[int]()
     while elimination.left.sum() > min(count, OPTIONS.first_block):
         index, _, missed = elimination.missed()
@@ -164,13 +152,7 @@ def _elimination_order(
     return np.array([*elimination, *gone[::-1]])
 
 
-def _value(asked: Questions, squares: np.ndarray) -> float:
-    return float(asked.hidden(squares))
-
-
-def _steps_of_block(number: int, items: Sequence[_Item], stations: Sequence[str]) -> list[dict[str, Any]]:
+def _steps_of_block(number: int, views: Sequence[CandidateView], stations: Sequence[str]) -> list[dict[str, Any]]:
     """One step for each station and ball, station by station."""
-    views: dict[tuple[str, int | None], list[View]] = {}
-    for item in sorted(items, key=lambda i: (stations.index(i.station), i.aim or 0, i.view.wrist, i.view.azimuth_deg)):
-        views.setdefault((item.station, item.aim), []).append(item.view)
-    return [position_step(f"block {number}, {station}", station, aim, some) for (station, aim), some in views.items()]
+    chosen = by_station(views, stations)
+    return [position_step(f"block {number}, {station}", station, aim, some) for (station, aim), some in chosen.items()]

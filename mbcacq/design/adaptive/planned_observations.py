@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.design.simulated_observations import expected_centres
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import POSE_COLUMNS, Observations
@@ -23,15 +24,12 @@ def continued(obs: Observations, state: CellState, poses: Sequence[PlannedPose],
     """
     q = np.array([p.q for p in poses]).reshape(-1, obs.cell.robot.n)
     nearest = np.argmin(np.sum((q[:, None] - obs.q[None]) ** 2, axis=2), axis=1)
-    station = {s.id: i for i, s in enumerate(obs.cell.stations)}
-    ball = {b: i for i, b in enumerate(obs.cell.ball_ids)}
     first = int(obs.pose_id.max(initial=-1)) + 1
-    seen = [(k, ball[b]) for k, p in enumerate(poses) for b in p.balls]
-    pose, balls = np.array(seen, dtype=int).reshape(-1, 2).T
+    station, pose, balls = expected_centres(obs.cell, poses)
     after = np.sign(q - obs.q.mean(axis=0)).astype(int)
     own = {
         "pose_id": first + np.arange(len(q)),
-        "station": np.array([station[p.station] for p in poses], dtype=int),
+        "station": station,
         "q": q,
         "phase": None if obs.phase is None else np.array([p.phase for p in poses]),
         "time_s": None if obs.time_s is None else obs.time_s.max() + pace_s * (1.0 + np.arange(len(q))),

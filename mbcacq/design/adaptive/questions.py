@@ -25,17 +25,6 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 
 
-@dataclass(frozen=True)
-class SetToTell:
-    """A set of effects among those that are not excluded. labels: ``name:where`` of its effects; probability: among these sets; log_odds:
-    against the first of them.
-    """
-
-    labels: tuple[str, ...]
-    probability: float
-    log_odds: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class SetComparison:
     """Two sets, one of which is true. differs: column by which their displacements differ; model: columns of the other set, in prior
@@ -61,11 +50,11 @@ class SetComparison:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
-    """columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects that could hide, by weights and names
-    (K - pairs,). aim: log odds between sets that are to be expected.
+    """sets: of effects, which are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
+    that could hide, by weights and names (K - pairs,). aim: log odds between sets that are to be expected.
     """
 
-    sets: tuple[SetToTell, ...]
+    sets: tuple[Hypothesis, ...]
     comparisons: tuple[SetComparison, ...]
     columns: np.ndarray
     pairs: int
@@ -165,18 +154,17 @@ def differ_by_direction(look: InterimEvidence) -> bool:
     return any("direction" in catalogue.declaration(m.candidate.name).needs for h in surviving(look) for m in h.members)
 
 
-def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell], list[SetComparison], list[np.ndarray]]:
+def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[Hypothesis], list[SetComparison], list[np.ndarray]]:
     found = surviving(look)
     if len(found) < 2:
         return [], [], []
     logs = np.array([h.log_posterior for h in found])
     probability = np.exp(logs - np.logaddexp.reduce(logs))
-    sets, columns, model, moved, start = [], [], [], [], 0
+    columns, model, moved, start = [], [], [], 0
     noise_mm = float(np.mean(look.full.noise.point))
-    for h, p in zip(found, probability, strict=True):
+    for h in found:
         displaced, own = _of_set(h, linear)
         own = _largest_combinations(own / noise_mm) * noise_mm
-        sets.append(SetToTell(tuple(dict.fromkeys(m.label for m in h.members)), float(p), float(h.log_posterior - logs[0])))
         moved.append(displaced)
         columns.append(own)
         model.append(tuple(range(start, start + own.shape[2])))
@@ -190,7 +178,7 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
                 SetComparison(differs=start, model=model[other], weight=float(probability[one]), known=known, a=one, b=other)
             )
         start += 1
-    return sets, comparisons, columns
+    return found, comparisons, columns
 
 
 def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarray]:

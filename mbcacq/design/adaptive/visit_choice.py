@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.design.adaptive.backward_elimination import SIX, BackwardElimination, MeasuredInformation
-from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import errors_at
 from mbcacq.design.adaptive.planned_observations import continued
 from mbcacq.design.adaptive.questions import Questions, questions
+from mbcacq.design.information_blocks import InformationBlocks
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.cell import Station
@@ -296,5 +296,7 @@ def _open_pairs(
         old = out.get((first, second))
         if old is not None:
             reachable, would = min(old.reachable, reachable), min(old.held, would)
-        out[first, second] = OpenPair(a.labels, b.labels, float(np.exp(min(b.log_odds - a.log_odds, 50.0))), reachable, would)
+        here, there = (tuple(dict.fromkeys(m.label for m in one.members)) for one in (a, b))
+        odds = float(np.exp(min(b.log_posterior - a.log_posterior, 50.0)))
+        out[first, second] = OpenPair(here, there, odds, reachable, would)
     return list(out.values())

@@ -55,12 +55,12 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
     return out
 
 
-def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> Scored:
-    """A candidate without hyper-parameter."""
-    X, S, b = projected.candidate_products(candidate, None)
+def evidence_of_one(projected: CandidateScoring, candidate: Candidate, hyper: float | None = None) -> Scored:
+    """A candidate at one value of its hyper-parameter, or without one."""
+    X, S, b = projected.candidate_products(candidate, hyper)
     absorbed, t = projected.conditioned.T @ X, candidate.typical
     A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
-    return float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), Member(candidate, None)
+    return float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), Member(candidate, hyper)
 
 
 def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> Scored:

@@ -15,7 +15,7 @@ Runs = tuple[MotionSignals, ...]
 def channel_groups(runs: Runs, inertial: list[np.ndarray], robot: RobotModel) -> list[ChannelGroup]:
     """Every kind of mismatch that all of these recordings can show. inertial: (T, n, n, 10) torque by unit inertial parameter, by run."""
     inside = tuple(_inside(run) for run in runs)
-    found = (_torque(runs, inertial, robot, inside), _joint_side(runs, inside), _set_point(runs))
+    found = (_torque(runs, inertial, robot, inside), _angles("q_joint", runs, 1.0, inside), _angles("q_set", runs, -1.0))
     return [group for group in found if group is not None]
 
 
@@ -46,39 +46,22 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
     )
 
 
-def _joint_side(runs: Runs, inside: tuple) -> ChannelGroup | None:
-    signals = [run.q_joint for run in runs if run.q_joint is not None]
+def _angles(name: str, runs: Runs, sign: float, inside: tuple[np.ndarray, ...] | None = None) -> ChannelGroup | None:
+    """The mismatch of an angle beside that of the motor: ``sign`` times their difference.
+
+    inside: (T, n) by run, the samples that are used where the channel may be late. The set point is not shifted, and all of it is used: a
+    late set point and a late drive look the same.
+    """
+    signals = [s for run in runs if (s := getattr(run, name)) is not None]
     joints = _complete(signals) if len(signals) == len(runs) else ()
     if not joints:
         return None
     columns = list(joints)
-    return ChannelGroup(
-        "q_joint",
-        "rad",
-        joints,
-        tuple((s - run.q)[:, columns] for s, run in zip(signals, runs, strict=True)),
-        tuple(k[:, columns] for k in inside),
-        _no_base(runs, joints),
-        np.zeros(0),
-        refit=True,
-        signal=tuple(s[:, columns] for s in signals),
-    )
-
-
-def _set_point(runs: Runs) -> ChannelGroup | None:
-    """The mismatch is actual angle minus set point. Its channel is not shifted: a late set point and a late drive look the same."""
-    signals = [run.q_set for run in runs if run.q_set is not None]
-    joints = _complete(signals) if len(signals) == len(runs) else ()
-    if not joints:
-        return None
-    columns = list(joints)
-    mismatch = tuple((run.q - s)[:, columns] for s, run in zip(signals, runs, strict=True))
-    use = tuple(np.ones(m.shape, dtype=bool) for m in mismatch)
-    return ChannelGroup("q_set", "rad", joints, mismatch, use, _no_base(runs, joints), np.zeros(0), refit=True)
-
-
-def _no_base(runs: Runs, joints: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-    return tuple(np.zeros((len(run.q), len(joints), 0)) for run in runs)
+    mismatch = tuple(sign * (s - run.q)[:, columns] for s, run in zip(signals, runs, strict=True))
+    use = tuple(np.ones(m.shape, dtype=bool) for m in mismatch) if inside is None else tuple(k[:, columns] for k in inside)
+    signal = () if inside is None else tuple(s[:, columns] for s in signals)
+    no_base = tuple(np.zeros((*m.shape, 0)) for m in mismatch)
+    return ChannelGroup(name, "rad", joints, mismatch, use, no_base, np.zeros(0), refit=True, signal=signal)
 
 
 def _complete(signals: list[np.ndarray]) -> tuple[int, ...]:

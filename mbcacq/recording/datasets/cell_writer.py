@@ -25,6 +25,8 @@ def cell_to_yaml(cell: Cell) -> str:
     scanner: dict[str, Any] = {"name": cell.scanner_name}
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
+    if cell.length_scale is not None:
+        scanner["length_scale"] = float(cell.length_scale)
     if cell.noise_rad is not None:
         scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
@@ -36,6 +38,11 @@ def cell_to_yaml(cell: Cell) -> str:
 def robot_to_yaml(form: str, robot: RobotModel, simulated: bool = False) -> str:
     """A ``cell.yaml`` that holds only the robot, such as a trajectory set's."""
     return _dump({"format": form} | _simulated(simulated) | {"robot": _robot(robot)})
+
+
+def artefact_to_yaml(artefact: Artefact) -> str:
+    """An artefact file, as the plans and the ``artefacts`` of a cell have it."""
+    return _dump(_artefact(artefact))
 
 
 def _simulated(simulated: bool) -> dict[str, Any]:

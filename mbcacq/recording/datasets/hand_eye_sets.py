@@ -20,6 +20,7 @@ from mbcacq.geometry import se3
 from mbcacq.model import yaml12
 from mbcacq.recording.datasets.columns import groups, names_poses
 from mbcacq.recording.datasets.csv_columns import numbers
+from mbcacq.recording.datasets.length_table import read_lengths
 from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings
@@ -54,7 +55,8 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         return understood(_of_folder(first), options)
     if first.suffix.lower() in SAMPLES:
         return _of_samples(first, options)
-    return read_profiles(table_of(first, options), options) or read_loose_table(first, options)
+    table = table_of(first, options)
+    return read_profiles(table, options) or read_lengths(table, options) or read_loose_table(first, options)
 
 
 def table_of(path: Path, options: TableOptions) -> Table:

@@ -36,6 +36,7 @@ AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside the
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
 SCAN = "world/scan"  # Transform3D (T_base_scanner), mbcacq.Scan with the packed points (scanner frame); whole clouds as Points3D
 ON_BALLS, BACKGROUND = "world/scan/on_balls", "world/scan/beside"  # Points3D for display: by distance to the ball; the rest
+SWEEP = "sweep"  # mbcacq.Sweep: profiles of a line scanner over one ball, and where it was expected
 EXPOSURE = "exposure"  # mbcacq.Centres of one exposure
 OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load_observations reads
 BALLS_FOUND, FIT_RMS, SCATTER = "quality/balls_found", "quality/fit_rms_um", "quality/exposure_scatter_um"  # Scalars
@@ -90,6 +91,7 @@ MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a 
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"
 CYCLES_ARCHETYPE, SCAN_ARCHETYPE, RESIDUAL_ARCHETYPE = "mbcacq.Cycles", "mbcacq.Scan", "mbcacq.Residual"
+SWEEP_ARCHETYPE = "mbcacq.Sweep"
 ENLARGED_ARCHETYPE, TEXT_ARCHETYPE = "mbcacq.Enlarged", "mbcacq.Text"
 DIGEST = "sha256"  # of the other values of a row
 

@@ -34,6 +34,26 @@ def scan_row(event: events.ScanTaken, *, pack: bool) -> rr.DynamicArchetype:
     )
 
 
+def sweep_row(event: events.SweepTaken, part: int) -> rr.DynamicArchetype:
+    """The profiles of a sweep as they came, with the SHA-256 of all."""
+    p = event.profiles
+    values = {
+        "pose": event.pose,
+        "part": part,
+        "ball": event.ball,
+        "began_s": float(event.began_s),
+        "expected": _float(event.expected),
+        "counter": _int(p.counter),
+        "time_s": _float(p.time_s),
+        "encoder": _int(p.encoder),
+        "inputs": _int(p.inputs),
+        "first": _int(p.first),
+        "points": np.asarray(p.points, dtype=np.float32),
+        "lost": p.lost,
+    }
+    return row(layout.SWEEP_ARCHETYPE, **values, **{layout.DIGEST: digest_of_values(values)})
+
+
 def exposure_row(event: events.CentresFound) -> rr.DynamicArchetype:
     """The balls of one exposure."""
     return row(

@@ -191,7 +191,13 @@ def read_observations(path: Path | str) -> Observations:
     rows = [row for recording in recordings for row in recording.observed()]
     if not rows:
         raise RecordingError(f"{path} holds no finished pose; there is nothing to calibrate")
-    return assemble(recordings[0].text(layout.CELL), str(path), rows)
+    measured = assemble(recordings[0].text(layout.CELL), str(path), rows)
+    sweeps = [row for recording in recordings for row in recording.rows(layout.SWEEP) if "points" in row and intact(row)]
+    if not sweeps:
+        return measured
+    from mbcacq.recording.rrd.sweeps import sweep_observations
+
+    return sweep_observations(measured, sweeps, [recording.cycles(("time_s", "q")) for recording in recordings], str(path))
 
 
 def intact(row: Row) -> bool:

@@ -26,7 +26,7 @@ from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
 from mbcacq.recording.rrd.drawn_later import POSES, DrawnLater, Stream
 from mbcacq.recording.rrd.kept_cloud import kept_cloud
-from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
+from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, sweep_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
 from mbcacq.recording.rrd.packed_cloud import packable
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
@@ -266,6 +266,11 @@ class Recorder:
             self._write_scan(event)
         else:
             self._held = event
+
+    @_write.register
+    def _(self, event: events.SweepTaken) -> None:
+        self._sink.check_space(event.profiles.points.nbytes + 48 * len(event.profiles))
+        self._rec.log(layout.SWEEP, sweep_row(event, self._part))
 
     def _let_go(self) -> None:
         """Write a held cloud as it came: its balls were never looked for."""

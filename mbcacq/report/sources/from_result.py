@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
 from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
@@ -18,8 +19,8 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, capitalised, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
-from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
+from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
+from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, PartContent, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
@@ -60,7 +61,9 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         state = state_from_dict(dict(result), observations.cell)
         rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
         noise = result["noise"]
-        found["residuals"] = measured.residuals(used, state, noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(dict(result)))
+        values, effects = {p["name"]: p["value"] for p in result["parameters"]}, effects_of(dict(result))
+        scatter = noise["scanner_mm"], noise["joint_rad"]
+        found["residuals"] = measured.residuals(used, state, *scatter, rejected, effects, values)
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
     spacing = spacing_of(result)
@@ -76,6 +79,8 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
         found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
         found["motion"] = kept_motion_content(document, pictures)
+    if (merged := run_info.get("merged")) is not None:
+        found["part"] = _part(merged)
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
@@ -109,6 +114,21 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         hashes=list(run_info.get("hashes") or ()),
         plan_yaml=str(run_info.get("plan_yaml") or ""),
         **found,
+    )
+
+
+def _part(merged: Mapping[str, Any]) -> PartContent:
+    """A part, of the content of merged.json."""
+    agreement, cad = merged["agreement"], merged.get("cad")
+    best = list(agreement["rms_mm"])[-1]
+    pairs = agreement["pairs"]
+    return PartContent(
+        sentences=[f"{capitalised(str(one['sentence']))}." for one in (agreement, *([cad] if cad else []))],
+        poses=["{}, {}".format(*pair["poses"]) for pair in pairs],
+        before_mm=np.array([pair["mm"]["before"] for pair in pairs], dtype=float),
+        after_mm=np.array([pair["mm"][best] for pair in pairs], dtype=float),
+        expected_mm=np.array([pair["expected_mm"] for pair in pairs], dtype=float),
+        **({key: np.array(cad["map"][key], dtype=float) for key in ("x_mm", "y_mm", "deviation_mm")} if cad else {}),
     )
 
 
@@ -233,6 +253,10 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if (expected := expected_accuracy(result)) is not None:
         value, misfit = expected
         out.append(("expected accuracy of a point, U (k = 2)", f"{value} {misfit}".rstrip()))
+    if clock := result.get("clock"):
+        out.append(
+            ("clock of the scanner", clock_sentence(clock["delay_s"], clock["delay_sigma_s"], clock["drift"]).removeprefix("Clock: "))
+        )
     return out
 
 
@@ -271,7 +295,7 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
 def _shown_unit(unit: str) -> tuple[str, float]:
     """Symbol of the unit in which a parameter of this one is shown, and how many of that it is."""
     if unit == "rad":
-        return "°", 180 / np.pi
+        return "°", in_degrees(1.0)
     _, shown, factor = split_unit(f"_{unit.replace('/', '_per_')}")
     return (shown, factor) if shown else (symbol(unit), 1.0)
 

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState, predict, residual
+from mbcacq.estimation.terms import accumulate, known_errors
 from mbcacq.geometry import se3
 from mbcacq.geometry.link_shapes import arm_outline, link_radii
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
@@ -24,20 +26,23 @@ def residuals(
     joint_rad: ArrayLike | None,
     rejected: Set[tuple[int, int | None]] = frozenset(),
     effects: EffectModel | None = None,
+    values: Mapping[str, float] | None = None,
 ) -> Residuals:
     """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
 
     point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).
-    effects: what the arm does beyond its geometry.
+    effects: what the arm does beyond its geometry. values: of parameters by their names, among them errors of the instrument.
     """
     obs = observations
-    prediction = predict(obs, state, effects.displacements(obs) if effects else None)
+    known = [*zip(effects.at(obs), effects.coefficients, strict=True)] if effects else []
+    known += known_errors(obs, values or {})
+    prediction = predict(obs, state, accumulate(obs, *zip(*known, strict=True)) if known else None)
     deviation = residual(obs, prediction)[:, :3]
     weighted = None
     if point_mm is not None and joint_rad is not None:
         J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
-        sigma = np.sqrt(np.asarray(point_mm) ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
-        weighted = deviation / sigma
+        sigma = np.sqrt(np.asarray(point_mm)[: deviation.shape[1]] ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
+        weighted = _three(deviation / sigma)
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
@@ -45,12 +50,17 @@ def residuals(
         pose=pose,
         ball=ball,
         phase=_phase(obs)[obs.pose],
-        xyz=deviation,
+        xyz=_three(deviation),
         weighted=weighted,
         outlier=out,
         station=station,
-        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q)[obs.pose],
+        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q)[obs.pose],
     )
+
+
+def _three(rows: np.ndarray) -> np.ndarray:
+    """Rows (M, 3) of residuals; those of a distance are along x."""
+    return np.pad(rows, ((0, 0), (0, 3 - rows.shape[1])))
 
 
 def coverage(observations: Observations, state: CellState) -> Coverage:
@@ -60,8 +70,8 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q),
-        limits_deg=np.degrees(obs.cell.robot.limits),
+        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q),
+        limits_deg=in_degrees(obs.cell.robot.limits),
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,

@@ -19,6 +19,7 @@ IDENTITY = re.compile(r"(robot|scanner|positioner|sensor \d+): (.+)")  # a devic
 MAX_LINES = 5
 MAX_BYTES = 1 << 20
 KEPT = ("plan.yaml", "result.json", "diagnosis.json")
+MERGED, MERGED_FORMAT = "merged.json", "mbcacq-merge/1"
 WITH_EFFECTS = "with-effects"  # folder of the result of the cell with what its diagnosis found
 
 
@@ -62,13 +63,15 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
 
 
 def read_kept_findings(folder: Path) -> dict[str, Any]:
-    """'diagnosis' and 'with_effects' (the result of the cell with its effects), where the folder of a run keeps them.
+    """'diagnosis', 'merged' (a part) and 'with_effects' (the result of the cell with its effects), where the folder of a run keeps them.
 
     Raises RecordingError where one cannot be read, ConfigError where it is damaged or a newer version wrote it.
     """
     found = {}
     if (diagnosis := _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)) is not None:
         found["diagnosis"] = diagnosis
+    if (merged := _kept(folder / MERGED, "mbcacq merge", MERGED_FORMAT)) is not None:
+        found["merged"] = merged
     better = folder / WITH_EFFECTS / "result.json"
     if (result := _kept(better, "mbcacq diagnose --calibrate", RESULT_FORMAT)) is not None:
         found["with_effects"] = unsealed(result, better)

@@ -20,10 +20,12 @@ def start(state: SensorState) -> None:
         if state.running:
             raise CommandRefused(INVALID_STATE)
         state.running = True
+    state.catch_up()
 
 
 def stop(state: SensorState) -> None:
     """Allowed in any state."""
+    state.catch_up()
     with state.lock:
         state.running = False
 

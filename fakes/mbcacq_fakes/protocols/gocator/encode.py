@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
+from mbcacq_fakes.protocols.gocator.quantise import INVALID, Scaling, extent, quantise, uniform_grid
 from mbcacq_fakes.world.frame import ScannerFrame
 
 LAST = 0x8000
 HEALTH, STAMP, UNIFORM_SURFACE, INTENSITY, MEASUREMENT, SURFACE_POINTS, MEASUREMENT_2 = 0, 1, 8, 9, 10, 28, 31
+PROFILE_POINTS, UNIFORM_PROFILE = 5, 6
 ALIGNMENT_RESULT, EXPOSURE_RESULT = 11, 12
-_SURFACE_STEP = 3
+_SURFACE_STEP, _PROFILE_STEP = 3, 2
 _INVALID_VALUE = -2147483648
 # Bytes that generations before 6 (no arrayed pair) and before 5 (no stream step) leave off at the end of the attributes.
 _MISSING = {4: 16, 5: 8, 6: 0}
@@ -57,8 +58,8 @@ def data_set(frame: ScannerFrame, header: DataSetHeader) -> list[bytearray]:
     return messages
 
 
-def stamp(index: int, ticks: int, encoder: int, serial: int, generation: int = 6) -> bytearray:
-    body = struct.pack("<QQqqQIIQ", index, ticks, encoder, encoder, 0, serial, 0, 0)
+def stamp(index: int, ticks: int, encoder: int, serial: int, generation: int = 6, status: int = 0) -> bytearray:
+    body = struct.pack("<QQqqQIIQ", index, ticks, encoder, encoder, status, serial, 0, 0)
     if generation >= 6:
         body += struct.pack("<Q", int(ticks / 1.024))
     return message(STAMP, struct.pack("<IHBB", 1, len(body), 0, 0) + body)
@@ -80,6 +81,36 @@ def uniform_surface(raw: np.ndarray, scaling: Scaling, exposure_ns: int, generat
     result, array = _with_array(UNIFORM_SURFACE, attributes, generation, raw.shape, np.dtype("<i2"))
     array[...] = raw
     return result
+
+
+def profile_points(xz: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
+    """xz: (C, W, 2) mm, NaN where nothing was measured."""
+    attributes = _profile_attributes(xz.shape[:2], scaling, exposure_ns)
+    result, array = _with_array(PROFILE_POINTS, attributes, generation, xz.shape, np.dtype("<i2"))
+    array[...] = _raw(xz, scaling.scale[[0, 2]], scaling.offset[[0, 2]])
+    return result
+
+
+def uniform_profile(z: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
+    """z: (C, W) mm at x = offset + column * resolution of the scaling."""
+    attributes = _profile_attributes(z.shape, scaling, exposure_ns)
+    result, array = _with_array(UNIFORM_PROFILE, attributes, generation, z.shape, np.dtype("<i2"))
+    array[...] = _raw(z[..., None], scaling.scale[2:], scaling.offset[2:])[..., 0]
+    return result
+
+
+def _profile_attributes(shape: tuple[int, ...], scaling: Scaling, exposure_ns: int) -> bytes:
+    x, _, z = range(3)
+    resolution, offset = scaling.resolution_nm, scaling.offset_um
+    steps = (_PROFILE_STEP, 0, 1, 0)
+    return struct.pack("<II2I2iBIB2siiii", *shape, resolution[x], resolution[z], offset[x], offset[z], 0, exposure_ns, 0, bytes(2), *steps)
+
+
+def _raw(values: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """(.., k) mm as int16; invalid in all coordinates where one has none, or is out of range."""
+    steps = np.rint((values - offset) / scale)
+    good = (np.abs(steps) <= 32767).all(axis=-1, keepdims=True)
+    return np.where(good, steps, INVALID).astype("<i2")
 
 
 def surface_intensity(grey: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:

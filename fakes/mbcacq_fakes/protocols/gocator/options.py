@@ -27,7 +27,9 @@ class FakeGocatorOptions:
     one that belongs to the model. intensity, uniform: what the jobs switch on. clock: the world's time in s; with it
     ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts from its start. volume: (low, high) (3,) mm of the measuring
     volume, None for the extent of each frame. frame_rate_hz: 0 for jobs triggered by software, else they are triggered by time.
-    password: '' with security off, else what the administrator logs in with.
+    password: '' with security off, else what the administrator logs in with. profiles: the jobs are those of a line scanner, whose clock
+    began ``clock_began_s`` after the world's, runs faster by ``clock_drift``, and whose stamps scatter by ``stamp_jitter_s``; a share of
+    ``lost_profiles`` is counted and never sent.
     """
 
     host: str = "127.0.0.1"
@@ -50,3 +52,8 @@ class FakeGocatorOptions:
     health_period_s: float = 1.0
     frame_rate_hz: float = 0.0
     password: str = ""
+    profiles: bool = False
+    clock_began_s: float = 0.0
+    clock_drift: float = 0.0
+    stamp_jitter_s: float = 0.0
+    lost_profiles: float = 0.0

@@ -24,8 +24,11 @@ class Client:
         self._thread = threading.Thread(target=self._run, name="fake-gocator-writer", daemon=True)
         self._thread.start()
 
-    def put(self, items: Sequence[object]) -> None:
-        """A client that does not read loses data sets whole, as a sensor drops them."""
+    def put(self, items: Sequence[object], patience_s: float = 0.0) -> None:
+        """A client that does not read for so long loses data sets whole, as a sensor drops them."""
+        deadline = time.monotonic() + patience_s
+        while self.queue.qsize() + len(items) > _DEPTH and not self.gone and time.monotonic() < deadline:
+            time.sleep(0.001)
         if self.queue.qsize() + len(items) <= _DEPTH:
             for item in items:
                 self.queue.put(item)
@@ -86,11 +89,11 @@ class Publisher:
         for old in gone:
             old.close()
 
-    def publish(self, items: Sequence[object]) -> None:
+    def publish(self, items: Sequence[object], patience_s: float = 0.0) -> None:
         with self._lock:
             clients = list(self._clients)
         for client in clients:
-            client.put(items)
+            client.put(items, patience_s)
 
     @property
     def count(self) -> int:

@@ -12,6 +12,7 @@ from mbcacq_fakes.protocols.gocator.exposures import Source, expose_on_request
 from mbcacq_fakes.protocols.gocator.health import health_messages, publish_health
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
+from mbcacq_fakes.protocols.gocator.profiles import LineSource, ProfileSender
 from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_fakes.protocols.started import Started
 
@@ -22,14 +23,14 @@ class FakeGocator(Started):
     """Context manager. ``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the ScannerFrame.
 
     ``state`` is what the sensor is now; ``files`` and ``faults`` of it may be changed while the sensor runs. ``ports`` is known once
-    the sensor has started.
+    the sensor has started. line: what a line scanner sees, for options with ``profiles``.
     """
 
-    def __init__(self, source: Source, options: FakeGocatorOptions | None = None) -> None:
+    def __init__(self, source: Source, options: FakeGocatorOptions | None = None, line: LineSource | None = None) -> None:
         self.options = options or FakeGocatorOptions()
         self.state = SensorState(self.options)
         self.files, self.faults = self.state.files, self.state.faults
-        self._source = source
+        self._source, self._line = source, line
         self._listeners: list[Listener] = []
         self._threads: list[threading.Thread] = []
         self._discovery: Discovery | None = None
@@ -43,6 +44,7 @@ class FakeGocator(Started):
             raise
         self._threads = [
             threading.Thread(target=expose_on_request, args=(self.state, self._source), name="fake-gocator-exposures", daemon=True),
+            *([] if self._line is None else [self._stream(self._line)]),
             threading.Thread(target=publish_health, args=(self.state,), name="fake-gocator-health", daemon=True),
         ]
         for starter in (*self._listeners, *self._threads, *filter(None, [self._discovery])):
@@ -61,6 +63,11 @@ class FakeGocator(Started):
             thread.join(_JOIN_S)
         self.state.control.join(_JOIN_S)
         self._listeners, self._threads, self._discovery = [], [], None
+
+    def _stream(self, line: LineSource) -> threading.Thread:
+        stream = ProfileSender(self.state, line)
+        self.state.catch_up = stream.catch_up
+        return threading.Thread(target=stream.run, name="fake-gocator-profiles", daemon=True)
 
     @property
     def discovery_port(self) -> int | None:

@@ -6,6 +6,7 @@ import queue
 import socket
 import threading
 import time
+from collections.abc import Callable
 
 from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator.connections import ControlConnections
@@ -30,6 +31,8 @@ class SensorState:
         switches: dict[str, float] = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
         if options.frame_rate_hz:
             switches |= {"Setup/Trigger/Source": 0, "Setup/Trigger/FrameRate": options.frame_rate_hz}
+        if options.profiles:
+            switches["Setup/ScanMode"] = 2
         self.files, self.faults = Files(tuple(options.jobs), switches), Faults(FAULTS)
         self.settings: dict[str, int] = {
             "alignment_reference": 0,
@@ -45,6 +48,7 @@ class SensorState:
         self.encoder, self.temperature_C = 0, 41.0
         self.indicators: dict[tuple[int, int], int] = {}
         self.running, self.operations, self.exposures = False, 0, 0
+        self.catch_up: Callable[[], None] = lambda: None  # what a stop waits for: profiles of the time before it
         self.requests: queue.Queue[int] = queue.Queue(_MAX_REQUESTS)
         self.data, self.health, self.control = Publisher(), Publisher(), ControlConnections()
         self.lock, self.closing = threading.Lock(), threading.Event()

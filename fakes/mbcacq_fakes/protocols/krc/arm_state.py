@@ -8,6 +8,7 @@ from multiprocessing import shared_memory
 from types import TracebackType
 from typing import Self
 
+import numpy as np
 from mbcacq_kuka.shared_block import SharedBlock, allocated, attached
 
 from mbcacq.errors import SystemRefused
@@ -30,7 +31,9 @@ _SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not 
 _OUTPUTS_AT = 64 + 2 * 256  # a row an output that was ever switched: its number + 1, its value, how often it was switched on
 _OUTPUT = struct.Struct("<3q")
 _MOST_OUTPUTS = 16
-_SIZE = _OUTPUTS_AT + _MOST_OUTPUTS * _OUTPUT.size
+_HISTORY_AT = _OUTPUTS_AT + _MOST_OUTPUTS * _OUTPUT.size + 64  # a ring of the states before, for sensors that measure in motion
+_KEPT = 4096
+_SIZE = _HISTORY_AT + _KEPT * 8 * (4 + 3 * MOST_AXES)
 
 _NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm, which must be writable"
 
@@ -90,7 +93,9 @@ class ArmState(SharedBlock):
     ) -> None:
         """Publish a state (one writer only). ``fault`` indexes FAULTS."""
         count = self._count + 1
-        self._slot.pack_into(self._buffer, _SLOT_AT[count & 1], time_s, *q, *qd, *direction, standstill, arrivals, fault)
+        values = (time_s, *q, *qd, *direction, standstill, arrivals, fault)
+        self._slot.pack_into(self._buffer, _SLOT_AT[count & 1], *values)
+        self._slot.pack_into(self._buffer, _HISTORY_AT + count % _KEPT * self._slot.size, *values)
         _COUNT.pack_into(self._buffer, 0, count)
         self._count = count
 
@@ -104,6 +109,13 @@ class ArmState(SharedBlock):
                 n = self.axes
                 q, qd, direction = v[1 : 1 + n], v[1 + n : 1 + 2 * n], v[1 + 2 * n : 1 + 3 * n]
                 return ArmReading(v[0], q, qd, direction, v[-3] != 0.0, int(v[-2]), FAULTS[int(v[-1])])
+
+    def history(self) -> np.ndarray:
+        """(k, 4 + 3 n): the states before, oldest first, a row as ``ArmReading`` has it: time_s, q, qd, direction, standstill, arrivals,
+        fault. Half a ring of them, which the writer leaves alone meanwhile."""
+        (count,) = _COUNT.unpack_from(self._buffer, 0)
+        ring = np.ndarray((_KEPT, self._slot.size // 8), np.float64, self._buffer, _HISTORY_AT)
+        return ring[np.arange(max(count - _KEPT // 2, 1), count + 1) % _KEPT]
 
     def switch(self, number: int, value: bool) -> None:
         """The controller's digital output ``number`` changes to ``value`` (one writer only)."""

@@ -117,6 +117,8 @@ class EkiController:
             system.ov_pro = int(active["override"])
         if active["mode"]:
             system.set_mode(int(active["mode"]))
+        if active["load_kg"]:
+            system.load.m = active["load_kg"]
         if active["tool"]:
             self.program.globals.mb_act_tool = int(active["tool"]) - 1
         if self.outlet.use("reset"):

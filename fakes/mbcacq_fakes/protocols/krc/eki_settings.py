@@ -31,6 +31,7 @@ FAULTS = (
     "emergency_stop",  # until taken back; then the program must be started again
     "override",  # $OV_PRO, 0: leave it as it is
     "mode",  # 1 T1, 2 T2, 3 AUT, 4 EXT; 0: leave it as it is
+    "load_kg",  # somebody enters another load; 0: leave it as it is
     "tool",  # the program runs with another tool number, plus 1; 0: as it is
 )
 COUNTED = (

@@ -1,0 +1,137 @@
+"""The set points of a session: which one the controller has, which it was sent last, and which it gets next.
+
+They advance by one an answered telegram. Where the controller held the one before, the motion goes on from there, from rest. None is sent
+before it was seen to be within the axes' limits, and no motion begins before the controller was seen to take corrections as absolute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mbcacq_kuka.rsi.handshake import Layout, SessionFault
+from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
+from mbcacq_kuka.rsi.plausibility import proof_fault
+from mbcacq_kuka.rsi.shared import RsiCommand
+from mbcacq_kuka.rsi.step_limits import StepLimits
+
+
+class SetPoints:
+    """``sent`` last, ``used`` by the controller and ``next``: joints (6,) deg; each with whether the arm moves there.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the session, with its reference.
+    settings : Mapping[str, Any]
+        See options.RsiOptions.
+    cycle_s : float
+        Of the controller.
+    fail : Callable[[SessionFault], None]
+        Gets what ends the session; it brakes by ``brake`` or ``freeze``.
+    """
+
+    def __init__(self, layout: Layout, settings: Mapping[str, Any], cycle_s: float, fail: Callable[[SessionFault], None]) -> None:
+        self._settings, self._fail = settings, fail
+        joint_limits = [tuple(pair) for pair in settings["limits_deg"]]
+        self._motion = RsiMotion(layout.reference, cycle_s, joint_limits)
+        self._limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], cycle_s)
+        self._proof = None if layout.carries_out else layout.proof(settings)
+        self.sent = self.used = self.next = layout.reference
+        self.sent_moving = self.used_moving = self._next_moving = self._frozen = False
+        self._consumed = True
+
+    @property
+    def unproven(self) -> bool:
+        """The controller was not yet seen to be absolute: only a correction of zero is safe."""
+        return self._proof is not None
+
+    @property
+    def _moves(self) -> bool:
+        return self._motion.moving or self._proof is not None and self._proof.wanted is not None
+
+    # what an answer has done
+
+    def accept(self) -> None:
+        """The controller has taken what was sent."""
+        self.used, self.used_moving = self.sent, self.sent_moving
+
+    def reject(self) -> None:
+        """The controller did not take what was sent: it has the set point before."""
+        self.sent, self.sent_moving = self.used, self.used_moving
+
+    def advance(self) -> None:
+        """The prepared set point goes to the controller."""
+        self.sent, self.sent_moving, self._consumed = self.next, self._next_moving, True
+
+    def go_on_from_rest(self) -> None:
+        """The controller held ``sent`` meanwhile. It gets it once more; from the next answer on the motion goes on."""
+        self._motion.hold(self.sent)
+        self._limits.rest(self.sent)
+        self.sent_moving, self._consumed = self._moves, True
+
+    # what comes next
+
+    def prepare(self, measured: tuple[float, ...]) -> None:
+        """The next set point, where the last one went out; one that is not within the limits is replaced by braking. measured: joints
+        (6,) deg."""
+        if not self._consumed:
+            return
+        self._consumed = False
+        try:
+            if self._proof is not None and self._proof.wanted is not None and not self._frozen:
+                self._prove(measured)
+            position = self._motion.step()
+        except MotionRefused as error:
+            self._fail(SessionFault("refused", str(error)))
+            position = self._motion.step()
+        if refusal := self._limits.refusal(position):
+            self._motion.brake_instead(self._limits.dynamics)
+            position = self._motion.step()
+            still = self._limits.refusal(position)
+            self._fail(SessionFault("refused", f"{refusal}; that set point was not sent", muted=bool(still)))
+            if still:  # nothing is sent any more, the controller stops the arm
+                return
+        self._limits.take(position)
+        self.next, self._next_moving = position, self._moves
+
+    def _prove(self, measured: tuple[float, ...]) -> None:
+        """No motion begins before an absolute correction was seen to be carried out. Raises MotionRefused."""
+        proof = self._proof
+        assert proof is not None  # prepare looked
+        proof.advance(self._motion, measured)
+        if (fault := proof_fault(proof, self._settings)) is not None:
+            self._fail(fault)
+        elif proof.seen and proof.wanted is not None:
+            self._proof = None
+            self._motion.move(proof.wanted)
+
+    def move(self, command: RsiCommand) -> None:
+        """Begin a motion."""
+        self.used_moving = self.sent_moving = True  # nothing of it has been sent yet
+        if refusal := self._limits.too_fast(command):
+            self._fail(SessionFault("refused", refusal))
+        elif self._proof is not None:
+            self._proof.ask(command)
+        else:
+            try:
+                self._motion.move(command)
+            except MotionRefused as error:
+                self._fail(SessionFault("refused", str(error)))
+
+    def brake(self) -> None:
+        """To rest within the limits."""
+        if self._proof is None:
+            self._motion.stop()
+            return
+        try:
+            self._proof.stop(self._motion)  # not known to be absolute: back to zero, where an arm of either kind stands
+        except MotionRefused:
+            self._motion.stop()
+
+    def freeze(self) -> None:
+        """No set point moves the arm any more."""
+        self._frozen = True
+        self._motion.freeze(self.sent)
+        self._limits.rest(self.sent)
+        self.sent_moving, self._consumed = False, True

@@ -1,0 +1,57 @@
+"""One sweep measured: the laser plane of a line scanner crosses a ball forth and back, while profiles and cycles are recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.acquisition import events
+from mbcacq.acquisition.cycle_collector import CycleCollector
+from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.mover import Mover
+from mbcacq.devices import ConfigError, Profiles, ProfileScanner, Scanner
+from mbcacq.geometry import se3
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.motion_limits import sweep_limits
+from mbcacq.plan.schema import Sweep
+
+LEAST_PROFILES = 8
+
+
+def line_scanner(scanner: Scanner) -> ProfileScanner:
+    """The scanner as one that streams. Raises ConfigError."""
+    if not isinstance(scanner, ProfileScanner):
+        raise ConfigError("the plan has a step 'sweep', and its scanner streams no profiles; use the driver of a line scanner")
+    return scanner
+
+
+def take_sweep(
+    pose: PlannedPose, loaded: LoadedPlan, scanner: ProfileScanner, bus: EventBus, mover: Mover, collector: CycleCollector
+) -> Profiles:
+    """Move forth and back from the pose, at which the arm stands, and return what was seen meanwhile.
+
+    Raises SafetyStop where the arm does not arrive, and what the scanner raises; the scanner is at rest again in every case.
+    """
+    step = loaded.plan.steps[pose.step]
+    assert isinstance(step, Sweep), "a pose has a sweep if its step has"
+    assert pose.sweep is not None, "it is asked for before"
+    limits = sweep_limits(loaded, pose.q, pose.sweep, step.speed_mm_s)
+    collector.mark()
+    began_s = mover.state().time_s
+    scanner.start_profiles()
+    try:
+        mover.go(pose.sweep, limits)
+        mover.go(pose.q, limits)
+    finally:
+        scanner.end_profiles()
+    found = scanner.profiles()
+    bus.emit(events.SweepTaken, pose.number, pose.balls[0], began_s, expected_ball(loaded, pose), found)
+    return found
+
+
+def expected_ball(loaded: LoadedPlan, pose: PlannedPose) -> np.ndarray:
+    """(3,) mm in the scanner's frame: where the ball is expected in the middle of the sweep."""
+    assert pose.sweep is not None, "it is asked for a sweep"
+    cell, artefact = loaded.cell, loaded.cell.artefact(pose.artefact)
+    centre = artefact.centres[artefact.ball_ids.index(pose.balls[0])]
+    T = cell.robot.chain.flange(((pose.q + pose.sweep) / 2)[None])[0] @ cell.T_flange_scanner
+    return se3.apply(se3.inverse(T) @ cell.station(pose.station).planned_pose, centre)
