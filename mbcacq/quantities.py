@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+DEGREE = math.pi / 180  # rad: 5 * DEGREE is an angle of five degrees
 K = 2.0  # coverage factor of every uncertainty that is shown
 MOST_PLACES = 7  # after the decimal point; what is smaller gets a power of ten
 LEAST_P = 1e-6  # a smaller p-value rests on tails of a distribution that nobody knows so far out
@@ -49,6 +51,20 @@ UNITS = {
     "C": ("°C", 1.0),
 }
 SYMBOLS = {stored: symbol for stored, (symbol, factor) in UNITS.items() if factor == 1.0} | {"deg/s": "°/s", "N m": "N·m"}
+
+
+def in_degrees(angle: Any) -> Any:
+    """An angle, or an array of them, from rad to deg: for what people and files are told."""
+    import numpy as np
+
+    return np.degrees(angle)
+
+
+def from_degrees(angle: Any) -> Any:
+    """An angle, or an array of them, from deg to rad: of what people and files say."""
+    import numpy as np
+
+    return np.radians(angle)
 
 
 def decimal_places(expanded: float) -> int:

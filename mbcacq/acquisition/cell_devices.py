@@ -16,6 +16,7 @@ from mbcacq.plan import LoadedPlan
 from mbcacq.plan.controller_joints import matrix
 from mbcacq.plan.motion_limits import axis_limits
 from mbcacq.plan.schema import DeviceUse
+from mbcacq.quantities import in_degrees
 from mbcacq.spheres.cloud_files import CloudFormat, read_points
 
 Overrides = Mapping[str, Mapping[str, Any]]
@@ -132,9 +133,9 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     plan asks the driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
-    facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
+    facts: dict[str, Any] = {"limits_deg": in_degrees(robot.limits).tolist()}
     if robot.speed is not None:
-        facts["speed_deg_s"] = np.degrees(robot.speed).tolist()
+        facts["speed_deg_s"] = in_degrees(robot.speed).tolist()
     found = load_driver("robots", driver or use.driver)
     wanted = getattr(found, "plan_facts", ())
     if use.follow is None and getattr(found, "only_follows", False):
@@ -152,11 +153,11 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
         facts["controller_matrix"], facts["controller_offset_deg"] = (part.tolist() for part in matrix(loaded))
     if "dynamics" in wanted and robot.speed is not None:
         limits = axis_limits(loaded)
-        facts["acceleration_deg_s2"] = np.degrees(limits.acceleration).tolist()
-        facts["jerk_deg_s3"] = np.degrees(limits.jerk).tolist()
+        facts["acceleration_deg_s2"] = in_degrees(limits.acceleration).tolist()
+        facts["jerk_deg_s3"] = in_degrees(limits.jerk).tolist()
     if "kinematics" in wanted:
         rows = robot.chain.rows.copy()
-        rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
+        rows[:, [0, 3, 4]] = in_degrees(rows[:, [0, 3, 4]])
         facts["kinematics"] = np.column_stack([robot.chain.sign, rows]).tolist()
     return {**facts, **use.options}
 

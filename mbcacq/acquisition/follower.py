@@ -13,6 +13,7 @@ from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.acquisition.mover import MOVED
 from mbcacq.devices import DeviceTimeout, MotionLimits, Robot, RobotState
 from mbcacq.plan.schema import FollowUse
+from mbcacq.quantities import from_degrees, in_degrees
 
 POLL_S = 0.02
 REMIND_S = 20.0  # between two sentences on how far the arm still is
@@ -42,7 +43,7 @@ class Follower:
 
     def summary(self) -> str:
         """How far the arm stood from its targets, as a clause."""
-        return f", taken up to {np.degrees(self.farthest):.2f}° from their targets"
+        return f", taken up to {in_degrees(self.farthest):.2f}° from their targets"
 
     def pass_by(self, waypoint: np.ndarray) -> None:
         """Which way the arm takes is up to whoever moves it."""
@@ -58,7 +59,7 @@ class Follower:
             self._collector.check()
             state, stood_s = self._look()
             away = np.abs(state.q - target)
-            near = bool(np.max(away) <= np.radians(self._follow.tolerance_deg))
+            near = bool(np.max(away) <= from_degrees(self._follow.tolerance_deg))
             if near and stood_s >= self._follow.stand_s:
                 self.farthest = max(self.farthest, float(np.max(away)))
                 self._say(f"the arm stands {_farthest(away)} from its target")
@@ -93,10 +94,10 @@ class Follower:
 
 
 def _angles(q: np.ndarray) -> str:
-    return " ".join(f"A{k} {angle:.2f}°" for k, angle in enumerate(np.degrees(q), 1))
+    return " ".join(f"A{k} {angle:.2f}°" for k, angle in enumerate(in_degrees(q), 1))
 
 
 def _farthest(away: np.ndarray) -> str:
     """The largest of the distances (n,) rad, with its axis."""
     axis = int(np.argmax(away))
-    return f"{np.degrees(away[axis]):.2f}° (A{axis + 1})"
+    return f"{in_degrees(away[axis]):.2f}° (A{axis + 1})"

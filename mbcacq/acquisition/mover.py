@@ -10,6 +10,7 @@ from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.devices import MotionLimits, Robot, RobotState, SafetyStop
 from mbcacq.model.cell import Cell
 from mbcacq.plan.motion_limits import arms_beyond, check_target, longest_duration
+from mbcacq.quantities import in_degrees
 
 POLL_S = 0.003
 MOVED = 1e-4  # rad; less is no motion that could bring a gear to its other flank
@@ -52,7 +53,7 @@ class Mover:
                 return state
             if state.time_s > deadline:
                 self._robot.stop()
-                away = np.degrees(np.max(np.abs(target - state.q)))
+                away = in_degrees(np.max(np.abs(target - state.q)))
                 raise SafetyStop(
                     f"the arm did not arrive in time ({away:.3f}° away) and was stopped; is its path free, is the override 100 %?"
                 )

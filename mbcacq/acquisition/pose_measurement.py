@@ -21,6 +21,7 @@ from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, line_scanner, take_sweep
 from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.quantities import in_degrees
 
 BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
 
@@ -154,9 +155,9 @@ class PoseMeasurement:
         if moved <= limit and away <= limit:
             return True
         if moved <= limit:
-            text = f"the arm stood {np.degrees(away):.3f}° from pose {pose.number} during its exposures"
+            text = f"the arm stood {in_degrees(away):.3f}° from pose {pose.number} during its exposures"
         else:
-            text = f"the arm moved by {np.degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
+            text = f"the arm moved by {in_degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
         if not left:
             raise SafetyStop(f"{text}, twice; its brakes or its controller do not hold it, so the run was ended")
         self.bus.message("warning", f"{text}; it is measured again")

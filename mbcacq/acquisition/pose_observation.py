@@ -41,18 +41,6 @@ def emit_observation(bus: EventBus, pose: PlannedPose, found: Sequence[Centres],
         few = f"{len(mean.ball)} of {len(pose.balls)} balls found, pose left out"
         bus.gap("pose", f"pose {pose.number} ({label}): {few}", pose.number)
         return False
-    bus.emit(
-        events.PoseDone,
-        pose.number,
-        pose.station,
-        pose.phase,
-        pose.step_name,
-        ball=mean.ball,
-        xyz=mean.xyz,
-        n_points=mean.n_points,
-        rms_mm=mean.rms_mm,
-        scatter_mm=mean.scatter_mm,
-        n_exposures=len(found),
-        **arm,
-    )
+    about = (pose.number, pose.station, pose.phase, pose.step_name)
+    bus.emit(events.PoseDone, *about, **vars(mean), n_exposures=len(found), **arm)
     return True

@@ -23,7 +23,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import HAND_EYE
 from mbcacq.estimation.pose_information import WeightedRows
 from mbcacq.estimation.solution import Solution
-from mbcacq.estimation.step_test import Steps, StepTest, measuring_order
+from mbcacq.estimation.step_test import Steps, StepTest
 from mbcacq.estimation.variance_components import log_restricted_posterior, restricted_maximum_likelihood
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
@@ -139,7 +139,7 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
     for j in range(n):
         yield KindOfChange("joint", str(j + 1), (f"A{j + 1}",), ("rad",), unit("joint", j, 1), every, 0.25 / n)
     station = unit("station", 0, 6)
-    order = obs.station[measuring_order(obs)]
+    order = obs.station[obs.measuring_order]
     for s in np.unique(obs.station):
         here = np.flatnonzero(order == s)
         among = np.zeros(obs.n_poses + 1, bool)
@@ -182,7 +182,7 @@ def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -
     """Most probable noise of the problem with a step of free size."""
     obs, rows = at.lineariser.obs, at.lineariser.rows
     after = np.zeros(obs.n_poses, bool)
-    after[measuring_order(obs)[moment:]] = True
+    after[obs.measuring_order[moment:]] = True
     step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
     columns, k = at.columns.with_parameters(step), step.shape[2]
     prior = Prior(

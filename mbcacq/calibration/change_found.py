@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.model.json_text import AsJson
+from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class ChangeFound(AsJson):
 
 
 def _shown(change: ChangeFound) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    factor = np.array([np.degrees(1.0) if u == "rad" else 1.0 for u in change.units])
+    factor = np.array([in_degrees(1.0) if u == "rad" else 1.0 for u in change.units])
     return factor * change.value, factor * change.std, ["°" if u == "rad" else u for u in change.units]
 
 

@@ -26,10 +26,10 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import fixed
+from mbcacq.quantities import DEGREE, fixed
 
 FOLDS = 5
-SAME_POSTURE = np.radians(0.1)
+SAME_POSTURE = 0.1 * DEGREE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +178,7 @@ def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Ob
     return found
 
 
-LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
+LEAST_SECOND_ROTATION = 2.0 * DEGREE  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
 LEAST_POSES = 3
 TOO_FEW = "needs three scans of one station that show a target's pose or three balls each, not all on one line"
 

@@ -15,6 +15,7 @@ from mbcacq.geometry.orientations import in_words, to_matrices, to_numbers
 from mbcacq.model import shipped
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Station
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 
 FLANGE_ANGLES = ("ZYX", "xyz", "vector", "XYZ", "ZYZ")  # of the makers' conventions, those with three angles
 _OTHER = {
@@ -82,9 +83,9 @@ def _units(o: Observations) -> Iterator[Misreading]:
 
 
 def _robot_units(o: Observations) -> Iterator[Misreading]:
-    if np.degrees(np.abs(o.q)).max() < RADIANS:
+    if in_degrees(np.abs(o.q)).max() < RADIANS:
         what = "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"
-        yield Misreading(what, "unit", lambda o: replace(o, q=np.degrees(o.q)))
+        yield Misreading(what, "unit", lambda o: replace(o, q=in_degrees(o.q)))
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
         yield Misreading(
@@ -93,7 +94,7 @@ def _robot_units(o: Observations) -> Iterator[Misreading]:
             lambda o: _with_chain(o, lambda c: replace(c, a=1e3 * c.a, d=1e3 * c.d)),
         )
     alpha = np.abs(o.cell.robot.chain.alpha)
-    if np.degrees(alpha).max() < RADIANS and alpha.any():
+    if in_degrees(alpha).max() < RADIANS and alpha.any():
         what = "the robot's alpha and theta read as radians, not degrees"
         yield Misreading(what, "unit", lambda o: _with_chain(o, _angles_in_degrees))
 
@@ -109,7 +110,7 @@ def _flange(o: Observations) -> Iterator[Misreading]:
                 what = f"the orientations of the flange taken as {in_words(meant)}, where they were read as {in_words(read)}"
                 yield Misreading(what, "orientation", lambda o, r=read, m=meant: _other_flange(o, lambda T: _reread(T, r, m)))
     for read in ("ZYX", "vector"):
-        if np.degrees(np.abs(to_numbers(flange_transforms(o.q)[:, :3, :3], read))).max() < RADIANS:
+        if in_degrees(np.abs(to_numbers(flange_transforms(o.q)[:, :3, :3], read))).max() < RADIANS:
             what = "the orientations of the flange read as radians, not degrees"
             yield Misreading(what, "unit", lambda o, r=read: _other_flange(o, lambda T: _in_degrees(T, r)))
     for what, factor in LENGTHS:
@@ -198,7 +199,7 @@ def _with_chain(o: Observations, change: Callable[[Chain], Chain]) -> Observatio
 
 
 def _angles_in_degrees(c: Chain) -> Chain:
-    return replace(c, theta=np.degrees(c.theta), alpha=np.degrees(c.alpha))
+    return replace(c, theta=in_degrees(c.theta), alpha=in_degrees(c.alpha))
 
 
 def _centres(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
@@ -231,7 +232,7 @@ def _reread(T: np.ndarray, read: str, meant: str) -> np.ndarray:
 def _in_degrees(T: np.ndarray, read: str) -> np.ndarray:
     """T (P, 4, 4) whose angles were taken for degrees and are radians."""
     numbers = to_numbers(T[:, :3, :3], read)
-    return se3.transform(to_matrices(np.degrees(numbers), read), T[:, :3, 3])
+    return se3.transform(to_matrices(in_degrees(numbers), read), T[:, :3, 3])
 
 
 def _shifted(o: Observations, shift: int) -> Observations:

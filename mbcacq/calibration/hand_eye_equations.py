@@ -12,9 +12,10 @@ import numpy as np
 
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
+from mbcacq.quantities import DEGREE
 
 MOST_MOTIONS = 5000  # every two of a hundred poses
-LEAST_TURN = np.radians(0.1)  # a motion that turns less says nothing of an axis
+LEAST_TURN = 0.1 * DEGREE  # a motion that turns less says nothing of an axis
 
 Motions = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -141,7 +141,7 @@ def _weights(obs: Observations, centres: np.ndarray) -> Weights:
 
 def _parts(obs: Observations) -> Sequence[np.ndarray]:
     """(P,) masks of the poses of each part, a stretch of the recording at each of its stations: none is without a station's poses."""
-    order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
+    order = obs.measuring_order
     parts = np.zeros((PARTS, obs.n_poses), bool)
     for station in np.unique(obs.station):
         here = order[obs.station[order] == station]

@@ -29,6 +29,7 @@ GROSS = 30.0  # squared distance of a circle in standard deviations, of three co
 ROUNDS, SETTLED = 60, 1e-3  # of the adjustment; change of its parameters in their standard deviations
 LEAST_OF_A_WAY = 5  # profiles of one way over a sphere
 POOR_MM = 5.0  # standard deviation of the scanner's place, from which it counts as undetermined
+PART_S = 1e7  # more than any part of a recording lasts
 JITTER_UNKNOWN_S = 1e-6  # where the estimation starts
 
 
@@ -46,7 +47,11 @@ class SensorClock:
 
     def controller_time(self, t: np.ndarray) -> np.ndarray:
         """The controller's time at sensor times t (P,) s."""
-        return t + self.delay_s + self.drift * (t - self.epoch_s)
+        return t + self.delay_s + self.drift * self.since(t)
+
+    def since(self, t: np.ndarray) -> np.ndarray:
+        """Time (P,) s after the epoch; parts of a recording that are set apart by ``PART_S`` have one clock all the same."""
+        return t - self.epoch_s - PART_S * np.rint((t - self.epoch_s) / PART_S)
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,8 @@ def adjust_in_motion(
         off = np.zeros(len(prior))
         off[6], off[7] = prior[6] * (at.clock.delay_s - aim), prior[7] * at.clock.drift
         step = -A @ (np.einsum("pia,pij,pj->a", J[used], W[used], r[used]) + off)
+        if not np.isfinite(step).all():
+            raise ConfigError("profiles and cycles contradict each other so much that no clock fits them; are both of one recording?")
         at = at.moved(step)
         sizes, changed = _scored(r + J @ step, J, W, parts, used, A, sizes)
         robust = robust and round_ < ROUNDS // 4
@@ -273,7 +280,7 @@ def _linearised(motion: FlangeMotion, seen: SeenSections, at: _Point) -> tuple[n
     J = np.zeros((len(t), 3, 8 + 3 * len(at.spheres)))
     J[:, :, :6] = J9[:, :, :6]
     by_time = np.einsum("pij,pj->pi", by_place, passing)
-    J[:, :, 6], J[:, :, 7] = by_time, by_time * (seen.time_s - at.clock.epoch_s)[:, None]
+    J[:, :, 6], J[:, :, 7] = by_time, by_time * at.clock.since(seen.time_s)[:, None]
     place = 8 + 3 * seen.sphere[:, None] + np.arange(3)
     J[np.arange(len(t))[:, None], :, place] = np.swapaxes(J9[:, :, 6:], 1, 2)
     return rows, J, passing, s, velocity, motion.known(t), by_place

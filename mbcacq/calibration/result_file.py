@@ -147,7 +147,7 @@ class ResultFile(EveryKey):
 
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
 
-    left_out = ("simulated", "scale", "effects", "sha256")
+    left_out = ("simulated", "scale", "effects", "loads_Nm", "sha256")
     later = ("measurement", "preliminary", "observability", "scan_scale", "held", "correlated", "rejected")
 
     format: Literal["mbcacq-result/1"]
@@ -171,6 +171,10 @@ class ResultFile(EveryKey):
     correlated: tuple[Correlated, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     effects: Annotated[Mapping[str, Any] | None, Field(description="effects as terms of the cell, format mbcacq-effect-model/1")] = None
+    loads_Nm: Annotated[
+        tuple[tuple[FiniteFloat, FiniteFloat], ...],
+        Field(description="range of the torque of gravity about each axis in nine of ten poses, where masses are known"),
+    ] = ()
     sha256: Annotated[str, Field(description="of the other keys as JSON, keys sorted, no spaces, shortest decimals")] = ""
 
     @property

@@ -15,12 +15,12 @@ from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, uncertainty
+from mbcacq.quantities import DEGREE, K, from_degrees, in_degrees, uncertainty
 
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
-RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
-LEAST_ROTATION = np.radians(4.0)
-RADIANS_AS_DEG = np.radians(2 * np.pi)  # of joint angles: a full turn in radians, read as degrees
+RUNAWAY_MM, RUNAWAY_RAD = 5.0, 1.0 * DEGREE  # ten times the errors of an arm as it is delivered
+LEAST_ROTATION = 4.0 * DEGREE
+RADIANS_AS_DEG = from_degrees(2 * np.pi)  # of joint angles: a full turn in radians, read as degrees
 FIRST_LOOK = 64  # poses of which a few degrees of rotation are looked for first
 HAND_EYE_ALONE = (
     "all poses are at one station, which leaves the arm's geometry undetermined elsewhere: the hand-eye transform alone is calibrated, "
@@ -76,12 +76,12 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     turn = orientation_range(obs, enough=LEAST_ROTATION)
     if turn < LEAST_ROTATION and not obs.cell.robot.of_flange_poses and float(np.abs(obs.q).max(initial=0.0)) < RADIANS_AS_DEG:
         raise CalibrationError(
-            f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g}°, and all poses of a station have the same orientation (within "
-            f"{np.degrees(turn):.1f}°): they look like radians; give joint angles in degrees"
+            f"no joint angle exceeds {in_degrees(RADIANS_AS_DEG):.2g}°, and all poses of a station have the same orientation (within "
+            f"{in_degrees(turn):.1f}°): they look like radians; give joint angles in degrees"
         )
     if turn < LEAST_ROTATION and options.refuse and not {"hand_eye.x", "hand_eye.y", "hand_eye.z"} <= set(options.hold):
         raise CalibrationError(
-            f"at every station all poses have the same orientation (within {np.degrees(turn):.1f}°), which leaves "
+            f"at every station all poses have the same orientation (within {in_degrees(turn):.1f}°), which leaves "
             "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20° and more"
         )
     place = 3 if obs.width == 1 else 6

@@ -12,6 +12,7 @@ from mbcacq.cli.terminal import echo
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
 from mbcacq.plan.motion_limits import T1_MM_S
+from mbcacq.quantities import in_degrees
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan, PlannedPose
@@ -48,7 +49,6 @@ def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: S
 
 def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) -> Iterator[str]:
     """What the operator has to know before the arm moves, a line each."""
-    import numpy as np
 
     use, robot = loaded.plan.robot, loaded.cell.robot
     box = ", ".join(f"{axis} {low:.0f}..{high:.0f}" for axis, low, high in zip("xyz", sweep.low, sweep.high, strict=True))
@@ -64,7 +64,7 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
     yield f"  poses      {len(poses)}, in {sweep.segments} motions"
     yield f"  speed      {100 * use.speed:g} % of the axes' largest speeds; the scanner up to {sweep.speed_mm_s:.0f} mm/s"
     yield f"  workspace  {box} mm in the base frame, swept by flange and scanner; {fence}"
-    yield f"  first      straight from where it stands to home, {_angles(np.radians(use.home_deg))}"
+    yield f"  first      straight from where it stands to home, {_angles(use.home)}"
     yield f"  then       pose {poses[0].number} at station {poses[0].station}, {_angles(poses[0].q)}"
     t1 = use.speed * T1_MM_S / sweep.speed_mm_s if sweep.speed_mm_s > T1_MM_S else None
     slower = f", with robot: speed {t1:.2g} to stay below {T1_MM_S:g} mm/s" if t1 else ""
@@ -73,6 +73,5 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
 
 
 def _angles(q: Any) -> str:
-    import numpy as np
 
-    return " ".join(f"A{k} {angle:.1f}°" for k, angle in enumerate(np.degrees(q), 1))
+    return " ".join(f"A{k} {angle:.1f}°" for k, angle in enumerate(in_degrees(q), 1))

@@ -94,7 +94,7 @@ def command(
 
 def lines_of(done: InterimCheck) -> list[str]:
     """What a person reads: the verdict, the evidence, the suspects, and what would have been noticed."""
-    from mbcacq.interim_check.words import in_degrees, odds, size_of
+    from mbcacq.interim_check.words import odds, size_in_words, size_of
 
     v, days = done.verdict, len(done.history.days)
     sentence = done.sentence
@@ -107,6 +107,6 @@ def lines_of(done: InterimCheck) -> list[str]:
         out.append(f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else ""))
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
-        out += [f"  {name} ({where}): {in_degrees(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
+        out += [f"  {name} ({where}): {size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
     page = [f"page: {done.run / 'report.html'}"] if done.run.is_dir() else []
     return [*out, f"recording: {done.run}", f"history: {done.file}", *page]

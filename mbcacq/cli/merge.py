@@ -26,7 +26,7 @@ SHOWN = 10  # pairs of scans, the worst first
 @click.option(
     "--voxel",
     "voxel_mm",
-    type=click.FloatRange(1e-3, 1e3),
+    type=click.FloatRange(0.01, 1e3),
     help="mm: of each voxel the best known point stays [default: the scans' spacing].",
 )
 @click.option("--cad", type=click.Path(path_type=Path), help="Mesh of the part's design in mm (STL, PLY, OBJ, OFF), to compare with.")

@@ -14,6 +14,7 @@ from mbcacq.quantities import (
     K,
     decimal_places,
     fixed,
+    in_degrees,
     in_words,
     listed,
     measured,
@@ -25,8 +26,6 @@ from mbcacq.quantities import (
     symbol,
     uncertainty,
 )
-
-TO_DEG = 180 / np.pi
 
 
 def parameters(result: dict[str, Any]) -> Table:
@@ -99,7 +98,7 @@ def link_errors(result: dict[str, Any]) -> str:
 def _cell(parameter: dict[str, Any] | None) -> str:
     if parameter is None or parameter["status"] == "held":
         return "-"
-    scale = TO_DEG if parameter["unit"] == "rad" else 1.0
+    scale = in_degrees(1.0) if parameter["unit"] == "rad" else 1.0
     if parameter["std"] is None:
         return signed(scale * parameter["error"], 4)
     error, U = pair(scale * parameter["error"], K * scale * parameter["std"])
@@ -132,7 +131,7 @@ def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> 
     for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
         table.add_column(f"{name} / {unit}", justify="right")
     scaled = [(v, s, 1.0) for v, s in zip(xyz, std[:3], strict=True)]
-    scaled += [(TO_DEG * v, s, TO_DEG) for v, s in zip(abc, std[3:], strict=True)]
+    scaled += [(in_degrees(v), s, in_degrees(1.0)) for v, s in zip(abc, std[3:], strict=True)]
     shown = [(fixed(v, 4), "held") if s is None else pair(v, K * scale * s) for v, s, scale in scaled]
     table.add_row(*(value for value, _ in shown))
     table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from textwrap import TextWrapper
 from typing import IO, TYPE_CHECKING, Any
 
 import click
@@ -63,26 +64,12 @@ def echo(
 def wrapped(text: str, columns: int, taken: int = 0) -> str:
     """Lines of at most so many columns, broken between words; what goes on is indented as far as its line, and two more. taken: columns
     of the first line that stand already. A path or a word that is longer stays whole."""
-    lines = text.split("\n")
     out = []
-    for k, line in enumerate(lines):
-        room = columns - (taken if k == 0 else 0)
-        indent = " " * (len(line) - len(line.lstrip()) + 2)
-        fits = len(line) <= room
-        out.append(line if fits else "\n".join(_filled(line, room, columns, indent)))
+    for k, line in enumerate(text.split("\n")):
+        room, own = taken if k == 0 else 0, " " * (len(line) - len(line.lstrip()))
+        filler = TextWrapper(columns, " " * room + own, own + "  ", False, False, break_long_words=False, break_on_hyphens=False)
+        out.append(line if room + len(line) <= columns else filler.fill(line.lstrip())[room:])
     return "\n".join(out)
-
-
-def _filled(line: str, first: int, columns: int, indent: str) -> Iterator[str]:
-    words = re.findall(r"\s*\S+", line)
-    current, room = "", first
-    for word in words:
-        if current.strip() and len(current) + len(word) > room:
-            yield current
-            current, room = indent + word.lstrip(), columns
-        else:
-            current += word
-    yield current
 
 
 def console(**options: Any) -> Console:

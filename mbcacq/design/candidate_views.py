@@ -16,6 +16,7 @@ from mbcacq.plan.ik_selection import cheapest_from_home, wrist_bend
 from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.occlusion import occluded
 from mbcacq.plan.schema import View
+from mbcacq.quantities import from_degrees, in_degrees
 
 AT_ONCE = 250  # views whose postures are looked for together: many share the cost of a call, more of them memory
 
@@ -33,7 +34,7 @@ class CandidateView:
 def random_views(count: int, steepest_deg: float, rng: np.random.Generator, options: DesignOptions | None = None) -> list[View]:
     """Views on a grid coarse enough to be written down: whole degrees and millimetres, both wrist branches alike."""
     # Uniform over the cap of directions, not over the angle.
-    tilt = np.degrees(np.arccos(1 - rng.uniform(0, 1, count) * (1 - np.cos(np.radians(steepest_deg)))))
+    tilt = in_degrees(np.arccos(1 - rng.uniform(0, 1, count) * (1 - np.cos(from_degrees(steepest_deg)))))
     azimuth, roll = rng.integers(-36, 36, (2, count)) * 5
     shift = np.rint(rng.uniform(-1, 1, (count, 3)) * np.array((options or DesignOptions()).shifts_mm))
     return [
@@ -54,7 +55,7 @@ def candidates(
     """Random views that can be taken: within the limits less a margin, wrist bent, enough balls in view and not hidden, nothing near."""
     options, rng = options or DesignOptions(), np.random.default_rng(seed)
     choice = _Choice(loaded, options)
-    steepest_deg = min(steepest_deg, np.degrees(loaded.planning.steepest_view))
+    steepest_deg = min(steepest_deg, in_degrees(loaded.planning.steepest_view))
     seen: list[_SeenView] = []
     for station in stations:
         single = single_aims(loaded, station)

@@ -20,6 +20,7 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.motion_limits import motion_limits
+from mbcacq.quantities import DEGREE, in_degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +29,7 @@ class ExcitationOptions:
 
     harmonics: int = 5  # of each joint, as usual: more excite vibrations, not masses
     used: float = 0.9  # share of speeds, accelerations and jerks, and of the way to each limit, that a motion takes
-    margin_rad: float = float(np.radians(3.0))  # kept to every joint limit
+    margin_rad: float = 3.0 * DEGREE  # kept to every joint limit
     evaluated_s: float = 0.4  # between moments at which the torque is evaluated: a tenth of the fastest harmonic's period, of 20 s
     straight_s: float = 0.2  # between the ends of the straight segments that are checked for collisions while searching
     checked_s: float = 0.02  # of the motion that is given out, and between moments at which limits are checked
@@ -92,7 +93,7 @@ class Excitation:
     def table(self) -> str:
         """CSV: time_s and the angle of every axis in deg."""
         time = np.append(np.arange(0.0, self.motion.seconds, OPTIONS.cycle_s), self.motion.seconds)
-        q = np.degrees(self.motion.at(time))
+        q = in_degrees(self.motion.at(time))
         head = ",".join(["time_s", *(f"q{j + 1}_deg" for j in range(q.shape[1]))])
         return "\n".join([head, *(f"{t:.4f}," + ",".join(f"{v:.5f}" for v in row) for t, row in zip(time, q, strict=True)), ""])
 
@@ -125,7 +126,7 @@ class _Search:
     ) -> None:
         self.options = options
         self.loaded, self.torque, self.seconds, self.rng = loaded, information, seconds, rng
-        self.robot, self.home = loaded.cell.robot, np.radians(loaded.plan.robot.home_deg)
+        self.robot, self.home = loaded.cell.robot, loaded.plan.robot.home
         self.limits = motion_limits(loaded)
         self.fine = np.linspace(0.0, seconds, int(seconds / self.options.checked_s) + 1)
         self.straight = np.linspace(0.0, seconds, int(seconds / self.options.straight_s) + 1)

@@ -26,6 +26,7 @@ from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.feasibility import check
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.loader import load
+from mbcacq.quantities import DEGREE, from_degrees, in_degrees
 
 # Places tried, as shares of the arm's reach from its shoulder, and deg about axis 1; a joint's error shows itself at all distances.
 DISTANCES, HEIGHTS, AZIMUTHS_DEG = (0.45, 0.6, 0.75), (-0.35, -0.1, 0.15, 0.4), (-60, -25, 0, 25, 60)
@@ -180,20 +181,20 @@ def _home(spec: RobotSpec, T_flange_scanner: np.ndarray) -> np.ndarray:
     up = -robot.gravity
     for share, height in ((0.5, 0.0), (0.45, 0.15), (0.55, -0.15), (0.6, 0.1), (0.4, 0.0)):
         for turn in range(0, 360, 45):
-            x = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn)), 0.0])
+            x = np.array([np.cos(from_degrees(turn)), np.sin(from_degrees(turn)), 0.0])
             x = x - (x @ up) * up
             x /= np.linalg.norm(x)
             T = se3.transform(np.stack([x, np.cross(up, x), up], axis=1), shoulder + reach * np.array([share, 0.0, height]))
             for q in solver.solutions((T @ se3.inverse(T_flange_scanner))[None])[0]:
                 room = np.minimum(q - robot.limits[:, 0], robot.limits[:, 1] - q).min()
-                merit = min(room, np.radians(60)) - 0.2 * np.abs(q).max() + 0.5 * min(abs(np.sin(q[-2])), 0.5)
+                merit = min(room, 60 * DEGREE) - 0.2 * np.abs(q).max() + 0.5 * min(abs(np.sin(q[-2])), 0.5)
                 if merit > most:
                     best, most = q, merit
         if best is not None and most > 0:
             break
     if best is None:
         raise ConfigError(f"robot '{spec.name}': no posture in front of the arm looks down with this hand_eye; check the scanner file")
-    return np.round(np.degrees(best))
+    return np.round(in_degrees(best))
 
 
 def _places(spec: RobotSpec) -> list[dict[str, Any]]:
@@ -203,7 +204,7 @@ def _places(spec: RobotSpec) -> list[dict[str, Any]]:
     for distance in DISTANCES:
         for height in HEIGHTS:
             for azimuth in AZIMUTHS_DEG:
-                a = np.radians(azimuth)
+                a = from_degrees(azimuth)
                 place = shoulder + reach * np.array([distance * np.cos(a), distance * np.sin(a), height])
                 lean = -LEAN_DEG if len(out) % 2 else 0.0
                 pose = {"translation_mm": [round(float(v)) for v in place], "abc_deg": [azimuth, lean, 0]}
@@ -286,7 +287,7 @@ def _without_errors(loaded: LoadedPlan, progress: Callable[[str], None]) -> tupl
     """The plan without the views that its checks refuse, and how many those were. Raises ConfigError where a step would lose all."""
     left_out = 0
     clearance = clearance_of(loaded)
-    near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
+    near = clearance.at(loaded.plan.robot.home, None)
     if near.distance < loaded.plan.clearance_mm:
         raise ConfigError(
             f"at home {near.a} comes within {near.distance:.0f} mm of {near.b}; give other --scanner numbers (body_mm, hand_eye)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
+from mbcacq.quantities import DEGREE
 
 SixSigmas = tuple[float, float, float, float, float, float]
 
@@ -19,8 +19,8 @@ class DesignOptions:
 
     # Candidate views.
     views_per_station: int = 220  # random views drawn at each, of which some can be taken
-    limit_margin: float = float(np.radians(4.0))  # of every axis, twice what the check warns of
-    wrist_bend: float = float(np.radians(8.0))  # least |A5|
+    limit_margin: float = 4.0 * DEGREE  # of every axis, twice what the check warns of
+    wrist_bend: float = 8.0 * DEGREE  # least |A5|
     spare_clearance_mm: float = 5.0  # beyond the plan's clearance: leaves the motions to a view some room
     shifts_mm: tuple[float, float, float] = (16.0, 24.0, 20.0)  # largest shift of the aim in the view, along x, y, z
     fewest_balls: int = 4  # that a view must show, or all where the artefact has fewer

@@ -85,7 +85,7 @@ def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: N
 
 def last_directions(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
     """(n,) -1, 0, 1 of each pose: the direction in which each axis last moved before it came to rest."""
-    last = np.radians(loaded.plan.robot.home_deg)
+    last = loaded.plan.robot.home
     direction, out = np.zeros(len(last), dtype=int), []
     for pose, transit in zip(poses, transits, strict=True):
         for stop in [*transit, pose.q]:

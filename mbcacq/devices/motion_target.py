@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.errors import ConfigError, SafetyStop
+from mbcacq.quantities import in_degrees
 
 _ROUNDING_RAD = 1e-10
 
@@ -41,6 +42,6 @@ def joint_target(robot: str, q: np.ndarray, limits: np.ndarray, where: str = "jo
     outside = ~(np.isfinite(target) & (target >= low - _ROUNDING_RAD) & (target <= high + _ROUNDING_RAD))
     if outside.any():
         axis = int(np.argmax(outside))
-        angle, (least, most) = np.degrees(target[axis]), np.degrees(limits[axis]).round(2)
+        angle, (least, most) = in_degrees(target[axis]), in_degrees(limits[axis]).round(2)
         raise SafetyStop(f"{robot}: A{axis + 1} would go to {angle:.3f}°, outside the {where} {least:g}..{most:g}°; nothing was moved")
     return target

@@ -21,6 +21,7 @@ from mbcacq.diagnosis.validation.predictive_score import training_score
 from mbcacq.effects.covariates import Covariates, artefact_normals
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 
 INSTRUMENT, ALL = "instrument", "instrument and joints"
 LEAST_P = 1e-5  # of a dependence, for all covariates that are tried
@@ -76,7 +77,7 @@ def covariates(obs: Observations) -> Iterator[tuple[str, str, np.ndarray]]:
     yield "depth in the field", "mm", middle[:, 2]
     yield "distance from the optical axis", "mm", np.hypot(middle[:, 0], middle[:, 1])
     normal = artefact_normals(obs, frames[:, -1, :3, :3])
-    yield "angle of incidence", "°", np.degrees(np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0)))
+    yield "angle of incidence", "°", in_degrees(np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0)))
 
 
 def noise_variations(full: ModelFit) -> list[Variation]:

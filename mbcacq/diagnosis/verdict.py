@@ -164,7 +164,7 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
         return "cannot_tell" if fit.undecided or noisy else "none"
     reported = reported_hypothesis(fit)
     others = alternatives_to(fit, reported) if fit.significant else []
-    open_ones = frozenset[str]().union(*((reported.labels - other.labels) | changed for other, changed in others))
+    open_ones = frozenset[str]().union(*(reported.labels - other.labels for other, _ in others))
     shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
     if full.random and names_explain(shared):
         return "partly_explained"

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.estimation.random_effect_sizes import eliminated
+from mbcacq.quantities import DEGREE, from_degrees
 
 STEPS = 180  # offsets over a turn that are compared: 2 deg, a seventh of a period at order 25
 OFFSETS = 2 * np.pi * np.arange(STEPS) / STEPS  # rad
-FINE = np.radians(np.arange(-1.0, 1.01, 0.25))  # rad, about the best of them: as far as half of the way to its neighbours
-NEAR = np.radians(4.0)  # offsets that far apart are one
+FINE = from_degrees(np.arange(-1.0, 1.01, 0.25))  # rad, about the best of them: as far as half of the way to its neighbours
+NEAR = 4.0 * DEGREE  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3

@@ -19,6 +19,7 @@ from mbcacq.effects.functions import INCIDENCE, SIGHT
 from mbcacq.geometry import gravity, se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import from_degrees
 
 LEAST_WIDTH = 5.0  # mm, second singular value of centres that are not on one line
 PAUSE = 3.0  # a pause is longer than so many times the usual time from pose to pose
@@ -355,7 +356,7 @@ class Covariates:
         if match := _DIRECTION.match(name):
             return self.gravity_direction(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
         if (match := _ALONG.match(name)) and int(match[1]) <= self.n:
-            azimuth, elevation = np.radians([float(match[2]), float(match[3])])
+            azimuth, elevation = from_degrees([float(match[2]), float(match[3])])
             along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
             return self.gravity_direction(int(match[1])) @ along
         if match := _PAYLOAD_TORQUE.match(name):

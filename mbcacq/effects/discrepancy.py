@@ -18,6 +18,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import SMOOTH, EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine, times
+from mbcacq.quantities import DEGREE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,7 @@ class DiscrepancyOptions:
     start_mm: float = 0.3  # the play of a mount that was not tightened
     least_moment: float = 0.5  # N m, below which nothing gives way
     direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
-    taken_up_rad: float = np.radians(0.5)  # a movement after which lost motion is as after any longer one
+    taken_up_rad: float = 0.5 * DEGREE  # a movement after which lost motion is as after any longer one
     softening: float = 0.3  # share of a wind-up that is not proportional to the torque
     least_travel_rad: float = 0.02  # joints that move by less show nothing of their own
     least_torque: float = 0.02  # of the largest torque's range, below which the torque about a joint says nothing

@@ -18,7 +18,7 @@ import numpy as np
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import Number
-from mbcacq.quantities import K, measured, split_unit
+from mbcacq.quantities import K, in_degrees, measured, split_unit
 
 # What a hyper-parameter is; the search knows how each of these is refined, how uncertain it is and what it is confused with.
 MOMENT = "moment"  # rank in time of the first pose after a change
@@ -314,6 +314,16 @@ def number(value: float, std: float) -> ParameterEstimate:
 def vector(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
     """A parameter of several components, from its values (k,) and their covariance (k, k)."""
     return ParameterEstimate(tuple(float(v) for v in values), tuple(float(s) for s in np.sqrt(np.diag(covariance))))
+
+
+def angle(value: float, std: float) -> ParameterEstimate:
+    """``number`` of an angle in rad, stated in deg."""
+    return number(in_degrees(value), in_degrees(std))
+
+
+def angles(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
+    """``vector`` of angles in rad, stated in deg."""
+    return vector(in_degrees(values), in_degrees(in_degrees(covariance)))
 
 
 def standard_deviations(covariance: np.ndarray) -> np.ndarray:

@@ -11,14 +11,15 @@ from pydantic import Field, FiniteFloat
 
 from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.functions import REPEATING, DescribedPart
+from mbcacq.quantities import DEGREE
 
 MOVEMENT = "movement_"
 TRAVEL = "travel_"  # covariates of a joint's last motion
 LOADS = ("gravity_torque_", "gravity_moment_", "payload_force_", "payload_torque_")
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
-GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
+GAP = 5.0 * DEGREE  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
-FADES_OVER = np.radians(10.0)  # beyond the visited angles: two such steps on nothing is left of what was learnt
+FADES_OVER = 10.0 * DEGREE  # beyond the visited angles: two such steps on nothing is left of what was learnt
 FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
 
 

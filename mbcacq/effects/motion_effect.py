@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbcacq.model.cell import RobotModel
+from mbcacq.quantities import in_degrees
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
 SHORT_TIME_CONSTANT = 20.0  # sampling intervals; below, a filter is oversampled
@@ -77,7 +78,7 @@ class ChannelGroup:
     @property
     def scale(self) -> float:
         """From the unit of the computation to the one that is shown."""
-        return float(np.degrees(1)) if self.unit == "rad" else 1.0
+        return float(in_degrees(1)) if self.unit == "rad" else 1.0
 
     def index(self, joint: int) -> int:
         """The column of a joint in the arrays (T, J) of this group."""

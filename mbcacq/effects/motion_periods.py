@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
-from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, number
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, angle, number
 from mbcacq.effects.motion_effect import Columns, MotionRows, MotionSignals
+from mbcacq.quantities import DEGREE
 
 HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
-LEAST_TRAVEL = np.radians(2.0)  # below, a joint hardly moved
+LEAST_TRAVEL = 2.0 * DEGREE  # below, a joint hardly moved
 LEAST_PERIODS = 1.5  # in the observed travel: more than one whole period
-OUTSIDE = np.radians(0.5)  # beyond the observed angles, where a phase is still known
+OUTSIDE = 0.5 * DEGREE  # beyond the observed angles, where a phase is still known
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def _report(axis: str, amplitude_name: str, scale: float) -> Report:
         return {
             f"{axis}.order": number(order.value, order.std),
             f"{axis}.{amplitude_name}": number(scale * amplitude, scale * float(np.sqrt(max(radial @ v @ radial, 0.0)))),
-            f"{axis}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), float(np.degrees(phase_std))),
+            f"{axis}.phase_deg": angle(np.arctan2(c[1], c[0]), float(phase_std)),
         }
 
     return report

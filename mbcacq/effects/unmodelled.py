@@ -15,6 +15,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
 from mbcacq.effects.learnt_range import is_angle
+from mbcacq.quantities import from_degrees
 
 DEVIATION = "deviation"
 
@@ -183,7 +184,7 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[Sequenc
         low, high = float(values.min()), float(values.max())
         orders = np.arange(1, OPTIONS.clock_functions + 1)
         return [of(covariate, "cosine", low, high, float(k)) for k in orders], OPTIONS.drift_mm / np.sqrt(orders)
-    ends = np.radians(OPTIONS.movement_deg)
+    ends = from_degrees(OPTIONS.movement_deg)
     return [of(covariate, "clip", end, factor=1 / end) for end in ends], np.full(len(ends), OPTIONS.movement_size)
 
 

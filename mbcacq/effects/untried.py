@@ -16,6 +16,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, StandstillRows
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
+from mbcacq.quantities import in_degrees
 
 ORDERS_OF_CONSTRUCTION = (1.0, 2.0)  # periods a turn of eccentric wheels and of their ovality: any gear may have them
 VARIES = 0.02  # share of the largest torque, below which a joint feels no weight
@@ -51,7 +52,7 @@ def _slow_orders(context: Context, candidate: Candidate) -> UntriedEffect | None
     part, on = parts[0], candidate.depends_on
     columns = tuple(column for order in missing for column in (sine(on, order), cosine(on, order)))
     described = [DescribedPart(part.place, part.index, part.component, columns)]
-    span = np.degrees(np.ptp(context.value(on)))
+    span = in_degrees(np.ptp(context.value(on)))
     named = " and ".join(f"{order:g}" for order in missing)
     reason = f"order {named} is not tried over {span:.0f}° of travel"
     typical = np.tile(candidate.typical, len(missing))

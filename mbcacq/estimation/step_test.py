@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from mbcacq.estimation.solution import Solution
-from mbcacq.model.observations import Observations
 
 SIZES = (9.0, 81.0, 729.0)  # variance of a step over that of its estimate: steps of 3, 9 and 27 of their standard deviations
 SINGULAR = 1e-6  # share of a column's own information that must be left beside parameters and stations
@@ -64,11 +63,6 @@ class Steps:
         return covariance @ self.right[t], covariance
 
 
-def measuring_order(obs: Observations) -> np.ndarray:
-    """(P,) poses in the order of measuring."""
-    return np.argsort(obs.time_s if obs.time_s is not None else np.arange(obs.n_poses), kind="stable")
-
-
 class StepTest:
     """A solved linear problem with its poses in the order of measuring.
 
@@ -78,7 +72,7 @@ class StepTest:
     def __init__(self, solution: Solution):
         self.solution = solution
         rows, normal, g = solution.lineariser.rows, solution.normal, solution.normal.size
-        self.order = measuring_order(solution.lineariser.obs)
+        self.order = solution.lineariser.obs.measuring_order
         back = np.empty(rows.n_poses, int)
         back[rows.order] = np.arange(rows.n_poses)
         self.turn = back[self.order]

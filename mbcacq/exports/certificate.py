@@ -118,19 +118,6 @@ def _refuse_other_units(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             )
 
 
-def artefact_yaml(artefact: Artefact) -> str:
-    """The artefact as a YAML file for ``plans/artefacts`` or the ``artefacts`` of a cell."""
-    data: dict[str, Any] = {"id": artefact.id, "name": artefact.name, "reference_temperature_C": float(artefact.reference_temperature_C)}
-    if artefact.expansion_ppm_per_K is not None:
-        data["expansion_ppm_per_K"] = float(artefact.expansion_ppm_per_K)
-    data["uncertainty_mm"] = float(artefact.uncertainty_mm)
-    data["balls"] = [
-        {"id": int(b), "centre_mm": [float(v) for v in c], "diameter_mm": float(d)}
-        for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
-    ]
-    return yaml12.dump(data, default_flow_style=None, width=140)
-
-
 def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:
     """Columns of a table of spheres. unit: of lengths whose heading has none."""
     return TableSchema(WHAT, (*_geometry(unit), *_about(headings, unit)), max_bytes=MAX_BYTES, comment="#", preamble=True)

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import bytes_of
 from mbcacq.geometry import se3
+from mbcacq.quantities import in_degrees
 
 TOOLS = range(1, 129)
 NAME_LENGTH = 24
@@ -27,12 +29,8 @@ def tool_data(T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq sca
 def config_diff(path: str | Path, T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq scanner") -> str:
     """Unified diff that puts the tool into a ``$config.dat``; empty if it is there already. Raises ConfigError naming the file."""
     path = Path(path)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the controller's $config.dat") from error
-    if len(raw) > MAX_BYTES:
-        raise ConfigError(f"{path}: {len(raw) >> 20} MiB is too much for a $config.dat")
+    cure = "give the controller's $config.dat"
+    raw = bytes_of(path, MAX_BYTES, cure, cure)
     old = raw.decode("latin-1").splitlines(keepends=True)
     new = list(old)
     end = "\r\n" if any(line.endswith("\r\n") for line in old) else "\n"
@@ -58,7 +56,7 @@ def _lines(T: np.ndarray, number: int, name: str) -> list[str]:
     if not name.isascii() or not name.isprintable() or '"' in name or not 0 < len(name) <= NAME_LENGTH:
         raise ConfigError(f"tool name {name!r} must be 1 to {NAME_LENGTH} plain characters without quotes")
     xyz, abc = se3.to_abc(np.asarray(T, dtype=float))
-    value = zip("XYZABC", (*xyz, *np.degrees(abc)), strict=True)
+    value = zip("XYZABC", (*xyz, *in_degrees(abc)), strict=True)
     frame = ",".join(f"{axis} {v + 0.0:.{5 if axis in 'XYZ' else 6}f}" for axis, v in value)
     return [f"TOOL_DATA[{number}]={{{frame}}}", f'TOOL_NAME[{number},]="{name}"']
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -17,10 +18,13 @@ from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import Column
 from mbcacq.effects.learnt_range import is_angle
 from mbcacq.exports.joint_frames import behind_joints, joint_frames
+from mbcacq.files.template import filled
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.gravity import STANDARD_GRAVITY
 from mbcacq.model.robot_import.mjcf import PLACEHOLDER_MASS
 
+TEMPLATE = Path(__file__).parent / "mjcf.xml.j2"
 DAMPING_S = 1e-3  # of a spring: its damping by its stiffness
 RADIUS_OF_GYRATION_M = 0.05  # inertia tensors are not known; weight alone counts at standstill
 UNIT_MASS_KG = 1.0  # of links whose masses are not known
@@ -131,81 +135,37 @@ def mjcf(
     in front."""
     found = expressed_effects(effects) if effects else ExpressedEffects((0.0, np.zeros(3)))
     frames, flange = joint_frames(chain)
-    weights = _weights(chain, effects)
-    if not _weighed(effects):
+    masses = None if effects is None or not effects.robot.mass.any() else effects.robot.mass
+    if masses is None:
         comments = [*comments, f"the masses of the links are not in the result: {UNIT_MASS_KG:g} kg stands for each"]
-    lines = [
-        *(f"<!-- {line.replace('--', '-')} -->" for line in comments),
-        f"<mujoco model={quoteattr(robot)}>",
-        '  <compiler angle="radian"/>',
-        f'  <option gravity="{_numbers(9.80665 * _down(effects))}"/>',
-        *([] if _weighed(effects) else [f'  <custom><numeric name="{PLACEHOLDER_MASS}" data="{UNIT_MASS_KG:g}"/></custom>']),
-        "  <worldbody>",
-        '    <body name="base">',
-        *(_spring(f"base_tilt_{a}", found.base, np.eye(3)[k], "      ") for k, a in enumerate("xyz") if found.base > 0),
-        '      <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>',
-    ]
-    for i, T in enumerate(frames):
-        indent = "  " * (i + 3)
-        lines += [f'{indent}<body name="link_{i + 1}" {_place(T)}>', f'{indent}  <joint name="joint_{i + 1}" type="hinge" axis="0 0 1"/>']
-        if found.compliance.get(i, 0.0) > 0:
-            lines.append(_spring(f"joint_{i + 1}_gear", found.compliance[i], np.array([0.0, 0, 1]), indent + "  "))
-        tied = [(axis, by) for axis, by in found.ratio if axis == i]
-        lines += [f'{indent}  <joint name="{_tied(axis, by)}" type="hinge" axis="0 0 1" armature="0.01"/>' for axis, by in tied]
-        lines.append(f"{indent}  {weights[i]}")
-    indent = "  " * (chain.n + 3)
-    lines.append(f'{indent}<site name="flange" {_place(flange)}/>')
-    if T_flange_scanner is not None:
-        lines.append(f"{indent}<site name={quoteattr(site)} {_place(flange @ T_flange_scanner)}/>")
-    mass, com = found.payload
-    if mass > 0:
-        place = _numbers(1e-3 * se3.apply(flange, com))
-        lines.append(f'{indent}<body name="payload" pos="{place}">{_inertial(mass, np.zeros(3))}</body>')
-    lines += ["  " * (i + 2) + "</body>" for i in reversed(range(chain.n + 1))]
-    lines.append("  </worldbody>")
-    if found.ratio:
-        lines += ["  <equality>", *(_tie(key, ratio) for key, ratio in found.ratio.items()), "  </equality>"]
-    return "\n".join([*lines, "</mujoco>"]) + "\n"
-
-
-def _weighed(effects: EffectModel | None) -> bool:
-    """Whether the masses of the links are known."""
-    return effects is not None and bool(effects.robot.mass.any())
-
-
-def _weights(chain: Chain, effects: EffectModel | None) -> list[str]:
-    """The <inertial> of each link."""
-    if effects is None or not _weighed(effects):
-        return [_inertial(UNIT_MASS_KG, np.zeros(3))] * chain.n
-    centres = [se3.apply(T, c) for T, c in zip(behind_joints(chain), effects.robot.com, strict=True)]
-    return [_inertial(max(float(m), 1e-3), 1e-3 * c) for m, c in zip(effects.robot.mass, centres, strict=True)]
-
-
-def _inertial(mass: float, centre_m: np.ndarray) -> str:
-    inertia = f"{mass * RADIUS_OF_GYRATION_M**2:.6g}"
-    return f'<inertial pos="{_numbers(centre_m)}" mass="{mass:.9g}" diaginertia="{inertia} {inertia} {inertia}"/>'
-
-
-def _down(effects: EffectModel | None) -> np.ndarray:
-    return np.array([0.0, 0.0, -1.0]) if effects is None else np.asarray(effects.robot.gravity, float)
-
-
-def _spring(name: str, compliance: float, axis: np.ndarray, indent: str) -> str:
-    stiffness = 1.0 / compliance
-    about = " ".join(f"{v:g}" for v in axis)
-    return (
-        f'{indent}<joint name="{name}" type="hinge" axis="{about}" stiffness="{stiffness:.9g}" damping="{DAMPING_S * stiffness:.6g}" '
-        'armature="0.01"/>'
+    payload, com = found.payload
+    return filled(
+        TEMPLATE,
+        comments=comments,
+        robot=quoteattr(robot),
+        gravity=_numbers(STANDARD_GRAVITY * np.array([0.0, 0.0, -1.0] if effects is None else effects.robot.gravity)),
+        placeholder=PLACEHOLDER_MASS if masses is None else "",
+        unit_mass=UNIT_MASS_KG,
+        damping=DAMPING_S,
+        gyration_2=RADIUS_OF_GYRATION_M**2,
+        base=found.base,
+        links=[(_place(T), *weight) for T, weight in zip(frames, _weights(chain, effects, masses), strict=True)],
+        compliance=found.compliance,
+        ratio=found.ratio,
+        flange=_place(flange),
+        site=quoteattr(site),
+        scanner="" if T_flange_scanner is None else _place(flange @ T_flange_scanner),
+        payload=payload,
+        payload_centre=_numbers(1e-3 * se3.apply(flange, com)),
     )
 
 
-def _tied(axis: int, by: int) -> str:
-    return f"joint_{axis + 1}_by_joint_{by + 1}"
-
-
-def _tie(key: tuple[int, int], ratio: float) -> str:
-    axis, by = key
-    return f'    <joint joint1="{_tied(axis, by)}" joint2="joint_{by + 1}" polycoef="0 {ratio:.12g} 0 0 0"/>'
+def _weights(chain: Chain, effects: EffectModel | None, masses: np.ndarray | None) -> list[tuple[float, str]]:
+    """(kg, centre of mass in m as text) of each link."""
+    if effects is None or masses is None:
+        return [(UNIT_MASS_KG, "0 0 0")] * chain.n
+    centres = [se3.apply(T, c) for T, c in zip(behind_joints(chain), effects.robot.com, strict=True)]
+    return [(max(float(m), 1e-3), _numbers(1e-3 * c)) for m, c in zip(masses, centres, strict=True)]
 
 
 def _place(T: np.ndarray) -> str:

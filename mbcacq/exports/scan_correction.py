@@ -15,10 +15,11 @@ from mbcacq.errors import ConfigError
 from mbcacq.exports.mount import is_target, undetermined
 from mbcacq.geometry import se3
 from mbcacq.geometry.flange_poses import flange_transforms
+from mbcacq.quantities import DEGREE, in_degrees
 
 CHUNK = 200_000
 POSTURES = 24  # starts of the search for joint angles
-ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
+ROUNDING = 1e-3 * DEGREE  # a controller prints that much more than its limit when it stands on it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,9 +112,9 @@ def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
     limits = result["robot"].get("limits")
     for i, (angle, (low, high)) in enumerate(zip(q, limits or [], strict=bool(limits))):
         if not low - ROUNDING <= angle <= high + ROUNDING:
-            allowed = f"{np.degrees(low):g} to {np.degrees(high):g}°"
+            allowed = f"{in_degrees(low):g} to {in_degrees(high):g}°"
             raise ConfigError(
-                f"joint {i + 1} at {np.degrees(angle):g}° is outside its limits {allowed}; "
+                f"joint {i + 1} at {in_degrees(angle):g}° is outside its limits {allowed}; "
                 "give the angles in degrees as the controller reported them at the exposure"
             )
 

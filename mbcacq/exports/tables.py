@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.geometry import orientations
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 from mbcacq.recording.datasets import quaternions
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a cell that begins so is a formula to spreadsheets
@@ -41,8 +42,8 @@ def tool_frames_csv(result: Mapping[str, Any], T: np.ndarray) -> str:
     def numbers(maker: str) -> np.ndarray:
         return orientations.to_numbers(T[None, :3, :3], orientations.MAKERS[maker])[0]
 
-    a, b, c = np.degrees(numbers("kuka"))
-    w, p, r = np.degrees(numbers("fanuc"))
+    a, b, c = in_degrees(numbers("kuka"))
+    w, p, r = in_degrees(numbers("fanuc"))
     rx, ry, rz = numbers("ur")
     q = ",".join(f"{v:.9f}" for v in quaternions.from_matrix(T[:3, :3]))
     place = f"{x:.4f},{y:.4f},{z:.4f}"

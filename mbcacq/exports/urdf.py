@@ -19,6 +19,7 @@ from mbcacq.exports.xacro_numbers import vector
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.xml_file import XmlFile
+from mbcacq.quantities import in_degrees
 
 AXIS_TOLERANCE_MM, AXIS_TOLERANCE_RAD = 1.0, 2e-3
 
@@ -169,7 +170,7 @@ def _check_axis(element: Element, U: np.ndarray, F: np.ndarray, sign: float, pla
     if angle > AXIS_TOLERANCE_RAD or distance > AXIS_TOLERANCE_MM:
         raise ConfigError(
             f"{place}: the axis of joint '{element.get('name')}' is {distance:.1f} mm and "
-            f"{np.degrees(angle):.1f}° away from the calibrated arm's at its zero position: "
+            f"{in_degrees(angle):.1f}° away from the calibrated arm's at its zero position: "
             "another robot, or other directions of rotation or zeros of the joints; "
             "give the URDF that uses the controller's joint angles"
         )

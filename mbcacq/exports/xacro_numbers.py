@@ -7,6 +7,8 @@ import operator
 
 import numpy as np
 
+from mbcacq.quantities import from_degrees
+
 _OPERATORS = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -51,5 +53,5 @@ def _arithmetic(node: ast.AST) -> float:
     if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
         return _OPERATORS[type(node.op)](_arithmetic(node.operand))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "radians" and len(node.args) == 1:
-        return np.radians(_arithmetic(node.args[0]))
+        return from_degrees(_arithmetic(node.args[0]))
     raise ValueError("not arithmetic")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mbcacq.errors import ConfigError
+
 _BLOCK = 1 << 20
 
 
@@ -17,3 +19,14 @@ def read_bounded(path: Path, most: int) -> bytes:
         while len(out) <= most and (block := file.read(min(_BLOCK, most + 1 - len(out)))):
             out += block
     return bytes(out)
+
+
+def bytes_of(path: Path, most: int, cure: str, smaller: str = "split it") -> bytes:
+    """The bytes of a file of at most so many. cure, smaller: what to do where it cannot be read, or is larger. Raises ConfigError."""
+    try:
+        data = read_bounded(path, most)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; {cure}") from error
+    if len(data) > most:
+        raise ConfigError(f"{path}: larger than {most / 2**20:.4g} MiB; {smaller}")
+    return data

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.bounded_read import read_bounded
+from mbcacq.files.bounded_read import bytes_of
 from mbcacq.files.instrument_forms import as_one_table
 
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
@@ -223,13 +223,8 @@ def _outside_quotes(line: str) -> str:
 
 
 def _bytes(path: Path, max_bytes: int) -> bytes:
-    try:
-        data = read_bounded(path, max_bytes)
-    except OSError as error:
-        cure = next((f"save {path.stem}{s} as CSV" for s in SPREADSHEETS if path.with_suffix(s).exists()), "check the path")
-        raise ConfigError(f"{path} cannot be read: {error.strerror}; {cure}") from None
-    if len(data) > max_bytes:
-        raise ConfigError(f"{path}: larger than {max_bytes / 2**20:.4g} MiB; split it")
+    cure = next((f"save {path.stem}{s} as CSV" for s in SPREADSHEETS if path.with_suffix(s).exists()), "check the path")
+    data = bytes_of(path, max_bytes, cure)
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise ConfigError(f"{path}: is a workbook of a spreadsheet, not CSV; save it as CSV")
     return data

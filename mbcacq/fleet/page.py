@@ -11,8 +11,8 @@ import numpy as np
 from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
 from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.model.cell import SIMULATED
-from mbcacq.quantities import capitalised, fixed, micrometres, with_unit
-from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
+from mbcacq.quantities import capitalised, fixed, in_degrees, micrometres, with_unit
+from mbcacq.report.several import ArmTypeContent, FleetChart, FleetContent
 
 TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
 MOST_LISTED = 200  # outliers and broken recordings on the page; the table has all
@@ -68,7 +68,7 @@ def _recording(row: FleetRow) -> tuple[str, ...]:
 def scale_and_unit(name: str) -> tuple[float, str]:
     """Factor and unit in which a figure is shown."""
     angle = name.startswith(("theta", "alpha", "beta")) or name.rpartition(".")[2] in ("rx", "ry", "rz")
-    return (180 / np.pi, "°") if angle else (1.0, "mm")
+    return (in_degrees(1.0), "°") if angle else (1.0, "mm")
 
 
 def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:

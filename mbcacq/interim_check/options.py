@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
+
+from mbcacq.quantities import DEGREE
 
 Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -53,13 +54,13 @@ class CheckOptions:
     class_odds: float = 20.0  # a name is given alone where the next one is less probable by this
     hopeless: float = 40.0  # log odds of a level of noise against the best, from which on it takes no part beside the changes
     discrepancy: float = 1.5e-5  # rad, what a joint of a good arm is off beyond its calibrated model (one-sigma, by posture)
-    mastering: float = float(np.radians(0.01))  # usual changes: a joint's zero after a new mastering or a slipped belt
+    mastering: float = 0.01 * DEGREE  # usual changes: a joint's zero after a new mastering or a slipped belt
     mount_mm: float = 0.05
-    mount_rad: float = float(np.radians(0.02))
+    mount_rad: float = 0.02 * DEGREE
     station_mm: float = 0.1
-    station_rad: float = float(np.radians(0.02))
+    station_rad: float = 0.02 * DEGREE
     link_mm: float = 0.1  # a crash
-    link_rad: float = float(np.radians(0.01))
+    link_rad: float = 0.01 * DEGREE
     tool_kg: float = 1.0
     elastic: float = 2e-6  # rad/(N m), of a joint of an arm of 10 kg; a tool bends it
     unnamed: float = 3e-5  # rad of each joint, each pose by itself: what no name describes

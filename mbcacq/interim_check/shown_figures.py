@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.planned_check import PlannedCheck
 from mbcacq.interim_check.verdict import CheckVerdict, evidence_of
-from mbcacq.interim_check.words import in_degrees, size_of
+from mbcacq.interim_check.words import size_in_words, size_of
 
 WITHIN = 0.9973  # of the differences of a cell in which nothing changed lie below the control limit
 
@@ -42,5 +42,5 @@ def shown(planned: PlannedCheck, history: CheckHistory, verdict: CheckVerdict) -
         "difference_mm": by_check,
         "difference_limit_mm": limit,
         "suspects_in_words": [(s.label, f"{s.probability:.2f}", size_of(s)) for s in verdict.suspects],
-        "noticed_in_words": [(f"{name} ({where})", in_degrees(size, 0.0, unit)) for name, where, size, unit in verdict.noticed],
+        "noticed_in_words": [(f"{name} ({where})", size_in_words(size, 0.0, unit)) for name, where, size, unit in verdict.noticed],
     }

@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.possible_changes import UNNAMED
 from mbcacq.interim_check.verdict import CheckVerdict, Suspect
-from mbcacq.quantities import K, measured
+from mbcacq.quantities import K, in_degrees, measured
 
 MOST = 4  # suspects in a sentence
 LARGEST = 1e6  # an e-value beyond it is "more than a million"
@@ -18,9 +18,9 @@ def odds(log_e: float) -> str:
     return "more than a million" if log_e > np.log(LARGEST) else f"{np.exp(log_e):.3g}"
 
 
-def in_degrees(value: float, std: float, unit: str) -> str:
+def size_in_words(value: float, std: float, unit: str) -> str:
     """A size with its expanded uncertainty (k = 2), or two digits of one without: angles in degrees."""
-    factor, shown = (180 / np.pi, "°") if unit == "rad" else (1.0, f" {unit}" if unit else "")
+    factor, shown = (in_degrees(1.0), "°") if unit == "rad" else (1.0, f" {unit}" if unit else "")
     if not std:
         return f"{float(f'{factor * value:.2g}'):g}{shown}"
     return measured(factor * value, factor * K * std, shown.strip())
@@ -29,7 +29,7 @@ def in_degrees(value: float, std: float, unit: str) -> str:
 def size_of(suspect: Suspect) -> str:
     """The coefficients of a suspect beyond their uncertainty, or '' where no unit is known."""
     known = [
-        f"{name} {in_degrees(value, std, unit)}"
+        f"{name} {size_in_words(value, std, unit)}"
         for name, value, std, unit in zip(suspect.parameters, suspect.size, suspect.std, suspect.units, strict=True)
         if unit and abs(value) > K * std
     ]

@@ -33,6 +33,7 @@ from mbcacq.model.bounds import (
     Speed,
     Uncertainty,
 )
+from mbcacq.quantities import from_degrees
 
 
 def whole(value: Any) -> Any:
@@ -78,7 +79,7 @@ class PoseSpec(Strict):
             R = np.array(self.rotation, dtype=float)
             exact = np.abs(R @ R.T - np.eye(3)).max() < 1e-14 and np.linalg.det(R) > 0
             return se3.transform(R if exact else se3.nearest_rotation(R), xyz)
-        return se3.from_abc(xyz, np.radians(self.abc_deg or (0.0, 0.0, 0.0)))
+        return se3.from_abc(xyz, from_degrees(self.abc_deg or (0.0, 0.0, 0.0)))
 
 
 class LinkSpec(Strict):
@@ -125,13 +126,13 @@ class RobotSpec(Strict):
             name=self.name,
             chain=Chain(
                 column["sign"],
-                np.radians(column["theta_deg"]),
+                from_degrees(column["theta_deg"]),
                 column["d_mm"],
                 column["a_mm"],
-                np.radians(column["alpha_deg"]),
-                np.radians(column["beta_deg"]),
+                from_degrees(column["alpha_deg"]),
+                from_degrees(column["beta_deg"]),
             ),
-            limits=np.radians([link.limits_deg for link in self.links]),
+            limits=from_degrees([link.limits_deg for link in self.links]),
             mass=column["mass_kg"],
             com=np.array([link.com_mm for link in self.links], dtype=float),
             speed=_radians(optional["speed_deg_s"]),
@@ -282,7 +283,7 @@ class CellSpec(Strict):
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
             measurement=MEASUREMENTS[self.measurement],
             length_scale=self.scanner.length_scale,
-            noise_rad=np.radians(self.scanner.noise_deg) if self.scanner.noise_deg else None,
+            noise_rad=from_degrees(self.scanner.noise_deg) if self.scanner.noise_deg else None,
             simulated=self.simulated,
             room_temperature_C=self.room_temperature_C,
         )
@@ -299,4 +300,4 @@ def _all_or_none(values: list[Any]) -> np.ndarray | None:
 
 
 def _radians(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else np.radians(values)
+    return None if values is None else from_degrees(values)

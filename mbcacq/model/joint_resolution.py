@@ -11,6 +11,7 @@ import numpy as np
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import from_degrees, in_degrees
 
 STEPS_DEG = (0.1, 0.01, 0.001)  # whole degrees are postures that somebody planned; finer steps are below what any arm repeats
 _ON_GRID = 0.75  # share of the angles: means of cycles between two steps are off the grid, and by chance hardly any angle is on it
@@ -26,12 +27,12 @@ def joint_step(q: np.ndarray) -> float:
 
     Axes that never moved say nothing.
     """
-    degrees = np.degrees(q[:, np.ptp(q, axis=0) > 0])
+    degrees = in_degrees(q[:, np.ptp(q, axis=0) > 0])
     if degrees.size < _LEAST_ANGLES or _on_grid(degrees, 1.0):
         return 0.0
     step = next((step for step in STEPS_DEG if _on_grid(degrees, step)), 0.0)
     varied = step and len(np.unique(np.rint(degrees / step) % 10)) >= _LEAST_DIGITS
-    return float(np.radians(step)) if varied else 0.0
+    return float(from_degrees(step)) if varied else 0.0
 
 
 def _on_grid(values: np.ndarray, step: float) -> bool:
@@ -67,7 +68,7 @@ def computed_by_the_arm(obs: Observations) -> float | None:
 
 def rounding_sentence(step: float) -> str:
     return (
-        f"The joint angles are rounded to {np.degrees(step):g}°, which adds {np.degrees(rounding_noise(step)):.2g}° of noise to "
+        f"The joint angles are rounded to {in_degrees(step):g}°, which adds {in_degrees(rounding_noise(step)):.2g}° of noise to "
         "each joint; it is counted as noise. Have them written with more decimals: on a KUKA set Precision to 6 at the ETHERNET object of "
         "the RSI context, elsewhere in the program or the table that the angles come from"
     )

@@ -131,6 +131,11 @@ class Observations:
         return 1 if self.recording is None else int(self.recording.max(initial=0)) + 1
 
     @property
+    def measuring_order(self) -> np.ndarray:
+        """(P,) poses in the order of measuring: of time, where it was recorded."""
+        return np.argsort(np.arange(self.n_poses) if self.time_s is None else self.time_s, kind="stable")
+
+    @property
     def shows_target_orientation(self) -> bool:
         """For an external instrument: whether the target's orientation shows, measured or by several reflectors at different places."""
         return self.rotation is not None or bool(np.ptp(self.cell.ball_centres[np.unique(self.ball)], axis=0).max(initial=0.0) > 1e-6)

@@ -13,7 +13,7 @@ from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import Overlap, cells_of, overlap
 from mbcacq.parts.placement import CellPlacement
-from mbcacq.parts.scans import PartScan, ScanSurface
+from mbcacq.parts.scans import PartScan, ScanSurface, spacing
 from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step, smooth_noise
 
 CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
@@ -126,7 +126,7 @@ def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequenc
     """Compare all scans that overlap. scans: thinned, with their surfaces. Raises ConfigError where no two overlap enough."""
     best = placements[-1]
     placed = [_placed(scan, surface, best) for scan, surface in scans]
-    edge = options.spacings_per_cell * _spacing(placed[0].points)
+    edge = options.spacings_per_cell * spacing(placed[0].points)
     pairs = _pairs(placed, edge, options)
     near = [(i, j, *_in_place(placed[i], placed[j], edge, options)) for i, j in pairs]
     near = [one for one in near if len(one[2]) >= options.cells[0]]
@@ -145,13 +145,6 @@ def _placed(scan: PartScan, surface: ScanSurface, best: CellPlacement) -> _Place
     points = best.to_base(scan.q, surface.points)
     rotation = (best.cell.frames(scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner)[:3, :3]
     return _Placed(scan, surface, points, surface.normals @ rotation.T)
-
-
-def _spacing(points: np.ndarray) -> float:
-    from scipy.spatial import KDTree
-
-    some = points[:: max(1, len(points) // 500)]
-    return float(np.median(KDTree(points).query(some, k=2)[0][:, 1]))
 
 
 def _pairs(placed: Sequence[_Placed], edge: float, options: PartOptions) -> list[tuple[int, int]]:

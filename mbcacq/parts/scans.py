@@ -64,3 +64,10 @@ def thinned(surface: ScanSurface, most: int) -> ScanSurface:
     """At most about ``most`` of its points, spread evenly over their order."""
     every = max(1, -(-len(surface.points) // most))
     return ScanSurface(surface.points[::every], surface.normals[::every])
+
+
+def spacing(points: np.ndarray) -> float:
+    """Median distance in mm of a point (N, 3) from its nearest neighbour."""
+    from scipy.spatial import KDTree
+
+    return float(np.median(KDTree(points).query(points[:: max(1, len(points) // 300)], k=2)[0][:, 1]))

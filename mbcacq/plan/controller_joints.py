@@ -7,18 +7,19 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.schema import ControllerJoints
+from mbcacq.quantities import from_degrees, in_degrees
 
 
 def to_controller(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """Joint angles (..., n) deg as the controller counts them, of q (..., n) rad. Raises ConfigError, see ``matrix``."""
     A, offset = matrix(loaded)
-    return np.degrees(q) @ A.T + offset
+    return in_degrees(q) @ A.T + offset
 
 
 def from_controller(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
     """The inverse: (..., n) rad. Raises ConfigError, see ``matrix``."""
     A, offset = matrix(loaded)
-    return np.radians(np.linalg.solve(A, (np.asarray(angles_deg, dtype=float) - offset)[..., None])[..., 0])
+    return from_degrees(np.linalg.solve(A, (np.asarray(angles_deg, dtype=float) - offset)[..., None])[..., 0])
 
 
 def matrix(loaded: LoadedPlan) -> tuple[np.ndarray, np.ndarray]:

@@ -19,9 +19,10 @@ from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths, router_of
 from mbcacq.plan.schema import AnyStep, Look, ScanPart, Sweep, Taught, Translate, View
+from mbcacq.quantities import DEGREE, from_degrees
 
 SAME_POSTURE = 1e-6  # rad, full turns aside
-LARGEST_SWEEP = np.radians(60.0)  # of an axis: more is no straight line of the tool any more
+LARGEST_SWEEP = 60.0 * DEGREE  # of an axis: more is no straight line of the tool any more
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _swept(loaded: LoadedPlan, index: int, step: Sweep) -> Iterator[Target]:
                 middle = _looking(loaded, station, centre, view, ("steps", index, "views", i))
                 assert middle.T_base_flange is not None, "a view gives it"
                 scanner = middle.T_base_flange @ loaded.cell.T_flange_scanner
-                for angle in np.radians(step.directions_deg):
+                for angle in from_degrees(step.directions_deg):
                     half = 0.5 * step.length_mm * scanner[:3, :3] @ np.array([np.sin(angle), np.cos(angle), 0.0])
                     begin, end = (se3.transform(np.eye(3), way * half) @ middle.T_base_flange for way in (-1.0, 1.0))
                     yield replace(middle, T_base_flange=begin, T_sweep_end=end, balls=(ball,))
@@ -193,7 +194,7 @@ def _swept(loaded: LoadedPlan, index: int, step: Sweep) -> Iterator[Target]:
 def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:
     station = str(step.station)
     for i, pose in enumerate(step.poses_deg):
-        q = np.radians(pose)
+        q = from_degrees(pose)
         balls = step.balls or visible_balls(loaded, station, loaded.cell.robot.chain.flange(q[None])[0])
         yield Target(index, station, None, q, balls, "any", ("steps", index, "poses_deg", i))
 
@@ -223,7 +224,7 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
 
 def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """The joint positions (k, n) rad nearest to home, no more than planning looks at, in their order."""
-    most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
+    most, home = loaded.planning.most_positions, loaded.plan.robot.home
     return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 
 

@@ -15,6 +15,7 @@ from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.plausibility import lacks_orientation, symmetric
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
+from mbcacq.quantities import in_degrees
 
 
 def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[PlanFinding]:
@@ -64,7 +65,7 @@ def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Accelerations and jerks that the plan asks for and the arm does not allow."""
     wanted, allowed = requested_limits(loaded), axis_limits(loaded)
     for article, what, key, unit in (("an", "acceleration", "acceleration_time_s", "°/s²"), ("a", "jerk", "jerk_time_s", "°/s³")):
-        asked, limit = (np.degrees(getattr(limits, what)) for limits in (wanted, allowed))
+        asked, limit = (in_degrees(getattr(limits, what)) for limits in (wanted, allowed))
         axis = int(np.argmax(asked / limit))
         if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
             line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
@@ -86,8 +87,8 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
         ends = np.array([pose.q if pose.sweep is None else pose.sweep, pose.q])
         room = np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends).min(axis=0)
         axis = int(np.argmin(room))
-        angle = np.degrees(ends[np.argmin(np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends)[:, axis]), axis])
-        low, high = np.degrees(robot.limits[axis])
+        angle = in_degrees(ends[np.argmin(np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends)[:, axis]), axis])
+        low, high = in_degrees(robot.limits[axis])
         limits = f"its limits {low:g}..{high:g}°"
         if room[axis] < 0:
             yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f}° exceeds {limits}; take another pose")
@@ -130,7 +131,7 @@ def _singularities(loaded: LoadedPlan, q: np.ndarray) -> Iterator[tuple[str, str
 def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
     """Distances at the poses and at home."""
     clearance, needed = clearance_of(loaded), loaded.plan.clearance_mm
-    near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
+    near = clearance.at(loaded.plan.robot.home, None)
     if near.distance < needed:
         place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
         yield PlanFinding(

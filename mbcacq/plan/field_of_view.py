@@ -6,6 +6,7 @@ import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.plan.schema import FieldOfView, View
+from mbcacq.quantities import from_degrees
 
 
 def aim_depth(field: FieldOfView) -> float:
@@ -21,7 +22,7 @@ def T_base_scanner(T_base_station: np.ndarray, point: np.ndarray, view: View, de
     x axis; at tilt 0 and roll 0 both frames are parallel. The point appears at ``view.shift_mm`` in the scanner frame,
     ``depth_mm`` along z added (``aim_depth``).
     """
-    tilt, azimuth, roll = np.radians([view.tilt_deg, view.azimuth_deg, view.roll_deg])
+    tilt, azimuth, roll = from_degrees([view.tilt_deg, view.azimuth_deg, view.roll_deg])
     R = _about_z(azimuth) @ _about_y(tilt) @ _about_z(roll - azimuth)
     return T_base_station @ se3.transform(R, point - R @ (np.array(view.shift_mm) + [0, 0, depth_mm]))
 

@@ -19,7 +19,7 @@ def select_solutions(loaded: LoadedPlan, options: list[np.ndarray], restart: lis
     if not options:
         return []
     robot, limits = loaded.cell.robot, loaded.planning
-    home = np.radians(loaded.plan.robot.home_deg)
+    home = loaded.plan.robot.home
     speed = _speed(loaded)
     came_from: list[np.ndarray] = []
     cost = np.zeros(1)
@@ -52,7 +52,7 @@ def cheapest_from_home(loaded: LoadedPlan, options: list[np.ndarray]) -> list[in
 
 def _from_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """(k,) s: cost of positions (k, n) rad to which the arm comes from home."""
-    robot, home = loaded.cell.robot, np.radians(loaded.plan.robot.home_deg)[None]
+    robot, home = loaded.cell.robot, loaded.plan.robot.home[None]
     motion = _motion_cost(home, q, _speed(loaded), loaded.planning.mean_joint_share)[0]
     front = reaches_forward(robot.chain, home)[0]
     reach_back = loaded.planning.reach_back_s * (reaches_forward(robot.chain, q) != front)

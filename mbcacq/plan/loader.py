@@ -83,7 +83,7 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     if use.base_to_gravity is not None:
         down = np.array(use.base_to_gravity)
         model = replace(model, gravity=down / np.linalg.norm(down))
-    home = np.radians(use.home_deg)
+    home = use.home
     _check_joints(file, ("robot", "home_deg"), use.home_deg, model)
     outside = np.flatnonzero((home < model.limits[:, 0]) | (home > model.limits[:, 1]))
     if len(outside):

@@ -10,6 +10,7 @@ from mbcacq.devices import MotionLimits, SafetyStop
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
 from mbcacq.plan.planned import LoadedPlan
+from mbcacq.quantities import from_degrees, in_degrees
 
 LEAST_TRAVEL = 1e-4  # rad: an axis that moves less has limits all the same
 T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
@@ -47,7 +48,7 @@ def motion_limits(loaded: LoadedPlan) -> MotionLimits:
     use, allowed = loaded.plan.robot, axis_limits(loaded)
     acceleration = np.minimum(requested_limits(loaded).acceleration, allowed.acceleration)
     jerk = np.minimum(acceleration / use.jerk_time_s, allowed.jerk)
-    return MotionLimits(use.speed * allowed.speed, acceleration, jerk, np.radians(use.tolerance_deg), use.settle_s)
+    return MotionLimits(use.speed * allowed.speed, acceleration, jerk, from_degrees(use.tolerance_deg), use.settle_s)
 
 
 def sweep_limits(loaded: LoadedPlan, start: np.ndarray, end: np.ndarray, speed_mm_s: float) -> MotionLimits:
@@ -66,8 +67,8 @@ def check_target(target: np.ndarray, limits: np.ndarray) -> None:
     outside = ~np.isfinite(target) | (target < limits[:, 0]) | (target > limits[:, 1])
     if outside.any():
         axis = int(np.argmax(outside))
-        low, high = np.degrees(limits[axis])
-        angle = np.degrees(target[axis])
+        low, high = in_degrees(limits[axis])
+        angle = in_degrees(target[axis])
         raise SafetyStop(f"A{axis + 1} would go to {angle:.2f}°, outside its limits {low:g}..{high:g}°; nothing was moved")
 
 

@@ -11,6 +11,7 @@ from mbcacq.errors import SafetyStop
 from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
+from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def segments(
     done: frozenset[int] = frozenset(),
 ) -> Iterator[MotionSegment]:
     """All motions of a run in order, from home to home; ``done`` poses are passed over."""
-    last, station = np.radians(loaded.plan.robot.home_deg), None
+    last, station = loaded.plan.robot.home, None
     for pose, transit in zip(poses, paths, strict=True):
         if pose.number in done:
             continue
@@ -79,7 +80,7 @@ def _refuse_outside_limits(loaded: LoadedPlan, segment: MotionSegment, where: st
         outside = ~np.isfinite(q) | (q < limits[:, 0] - rounding) | (q > limits[:, 1] + rounding)
         if outside.any():
             axis = int(np.argmax(outside))
-            raise SafetyStop(f"{where} A{axis + 1} would reach {np.degrees(q[axis]):.1f}°, outside its limits; nothing was moved")
+            raise SafetyStop(f"{where} A{axis + 1} would reach {in_degrees(q[axis]):.1f}°, outside its limits; nothing was moved")
 
 
 def swept(loaded: LoadedPlan, motions: Sequence[MotionSegment]) -> Swept:

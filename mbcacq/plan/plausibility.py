@@ -11,12 +11,13 @@ from mbcacq.model.cell import Artefact
 from mbcacq.model.cell_schema import ArtefactSpec
 from mbcacq.model.yaml_source import Path_
 from mbcacq.plan.planned import LoadedPlan
+from mbcacq.quantities import DEGREE, in_degrees
 
 SMALLEST_BALL_MM, LARGEST_BALL_MM = 1.0, 500.0  # smaller ones show no scanner enough of themselves, larger ones no arm carries past
 SMALLEST_ARTEFACT_MM = 2.0  # an artefact of 2 m in metres is 2
 SMALLEST_DISTANCE_MM = 5.0  # from the base to an artefact; a place 5 m away in metres is 5
 SMALLEST_MOUNT_MM = 1.0  # from the flange to the scanner's frame; a scanner 1 m away in metres is 1
-LEAST_LIMIT = np.radians(30.0)  # an axis that moves less may well be meant to stand within 2 pi deg
+LEAST_LIMIT = 30.0 * DEGREE  # an axis that moves less may well be meant to stand within 2 pi deg
 LEAST_DIFFERENCE_MM = 0.3  # of two distances that a scan tells apart
 BALLS_FOR_ORIENTATION = 3  # not on one line: fewer leave a rotation of the artefact open
 
@@ -70,7 +71,7 @@ def looks_like_radians(angles_deg: Sequence[float], limits: np.ndarray) -> str:
     uneven = np.abs(2 * angles - np.round(2 * angles)) > 1e-6  # no multiple of half a degree
     if not small or np.count_nonzero(uneven) < 2:
         return ""
-    meant = ", ".join(f"{a:.0f}" for a in np.degrees(angles))
+    meant = ", ".join(f"{a:.0f}" for a in in_degrees(angles))
     return f"all joint angles are within 2 pi, which looks like radians; give them in degrees ([{meant}])"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from mbcacq.model.bounds import (
@@ -22,6 +23,7 @@ from mbcacq.model.bounds import (
     Resolution,
 )
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Whole, whole
+from mbcacq.quantities import from_degrees
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
 MOST_PLACES = 100  # at which a plan asks for accuracy
@@ -74,6 +76,11 @@ class RobotUse(Strict):
     base_to_gravity: Direction | None = None  # for an arm on a wall or a ceiling; default: the robot file's
     follow: FollowUse | None = None  # only follow the arm, never move it
     controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
+
+    @property
+    def home(self) -> np.ndarray:
+        """(n,) rad."""
+        return from_degrees(self.home_deg)
 
 
 class FieldOfView(Strict):

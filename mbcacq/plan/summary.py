@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from mbcacq.plan.axis_extremes import axis_extremes
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.routing import Routes, find_paths
 from mbcacq.plan.timing import duration, motion_time
+from mbcacq.quantities import in_degrees
 
 
 def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> dict[str, Any]:
@@ -34,7 +33,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
                 "station": p.station,
                 "artefact": p.artefact,
                 "balls": list(p.balls),
-                "q_deg": np.degrees(p.q).round(4).tolist(),
+                "q_deg": in_degrees(p.q).round(4).tolist(),
                 "exposures": p.exposures,
                 "line": p.line,
                 "waypoints": len(t),
@@ -67,7 +66,7 @@ def _step(loaded: LoadedPlan, index: int, poses: Sequence[PlannedPose]) -> dict[
 def _starts(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[float]:
     """s from the start of the run to the beginning of each pose's first motion, without the operator's time."""
     limits, use = motion_limits(loaded), loaded.plan.robot
-    clock, out, last = 0.0, [], np.radians(use.home_deg)
+    clock, out, last = 0.0, [], use.home
     for pose, transit in zip(poses, transits, strict=True):
         out.append(clock)
         stops = [last, *transit, pose.q]

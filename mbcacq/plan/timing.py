@@ -14,6 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.plan.motion_limits import motion_limits, sweep_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.schema import Sweep
+from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def sweep_time(loaded: LoadedPlan, pose: PlannedPose) -> float:
 
 def stopping_points(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
     """Joint positions (n,) rad at which the arm stops, in order, from home to home."""
-    home = np.radians(loaded.plan.robot.home_deg)
+    home = loaded.plan.robot.home
     stops = [home]
     for pose, transit in zip(poses, transits, strict=True):
         stops += [*transit, pose.q]
@@ -76,7 +77,7 @@ def joint_motion(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> ru
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         axis = int(np.argmax(np.abs(end - start) / limits.speed))
         raise ConfigError(
-            f"a motion of {np.degrees(abs(end - start)[axis]):.3g}° of A{axis + 1} at {np.degrees(limits.speed[axis]):.3g} °/s cannot "
+            f"a motion of {in_degrees(abs(end - start)[axis]):.3g}° of A{axis + 1} at {in_degrees(limits.speed[axis]):.3g} °/s cannot "
             "be timed: it would take hours, or its acceleration_time_s or jerk_time_s is extreme; set robot: speed higher (0.05 is slow), "
             "and these times to 0.1 s to 1 s"
         )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, Residuals
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, Residuals
+from mbcacq.report.several import FleetContent
 
 
 def report_figures(content: Content) -> dict[str, Figure]:

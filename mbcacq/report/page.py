@@ -14,8 +14,9 @@ import numpy as np
 from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
-from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
+from mbcacq.report.content import Content, DiagnosisContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
+from mbcacq.report.several import ChangesContent, FleetContent
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
 

@@ -85,7 +85,7 @@ def plan_scene(loaded: LoadedPlan, only: frozenset[int] | None = None) -> dict[s
     boxes = [(np.array(o.min_mm, float), np.array(o.max_mm, float)) for o in loaded.plan.obstacles]
     return {
         "groups": [{"name": "balls at all stations, as planned", "colour": NOT_SEEN, "points": _rounded(points)}],
-        "arm": _rounded(arm_outline(chain, np.radians(loaded.plan.robot.home_deg))),
+        "arm": _rounded(arm_outline(chain, loaded.plan.robot.home)),
         "radii": np.round(link_radii(chain), 1).tolist(),
         "boxes": [_rounded(_corners(low, high)) for low, high in boxes if np.max(high - low) <= LARGEST_BOX],
         "poses": [

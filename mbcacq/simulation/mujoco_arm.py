@@ -19,6 +19,7 @@ from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.robot_import.import_robot import ImportedRobot, import_robot
 from mbcacq.model.robot_import.mjcf import is_gear_spring, placeholder_masses, placeholder_remark
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import in_degrees
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 LIMIT_SLACK_RAD = 1e-3  # by which a recorded angle may lie outside the model's range
@@ -166,8 +167,8 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
             low, high = (float(v) for v in joint.range)
             least, most = float(np.min(t.q[:, k])), float(np.max(t.q[:, k]))
             if joint.limited and (least < low - LIMIT_SLACK_RAD or most > high + LIMIT_SLACK_RAD):
-                span = f"{np.degrees(least):.1f} to {np.degrees(most):.1f}°"
-                limits = f"{np.degrees(low):.1f} to {np.degrees(high):.1f}"
+                span = f"{in_degrees(least):.1f} to {in_degrees(most):.1f}°"
+                limits = f"{in_degrees(low):.1f} to {in_degrees(high):.1f}"
                 raise ConfigError(
                     f"{where}: A{k + 1} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the order "
                     "of the joints, or their zeros and directions differ: correct the recording or the model"

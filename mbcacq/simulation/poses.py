@@ -16,6 +16,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import in_degrees
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ChannelError, ModelMatch, ModelParameter
 from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, check_recordings, gear_spring, mujoco_engine, torque_along
@@ -97,7 +98,7 @@ def _moved_bodies(arm: MujocoArm, spec: Any) -> list[ModelParameter]:
             values = 1e3 * float(old.pos[k]), 1e3 * float(new.pos[k])
             out.append(ModelParameter("place", new.name, f"pos_{axis}_mm", *values, float("nan"), float("nan"), named=True))
         turn = _turn(old.quat, new.quat)
-        out.append(ModelParameter("place", new.name, "turned_deg", 0.0, float(np.degrees(turn)), float("nan"), float("nan"), named=True))
+        out.append(ModelParameter("place", new.name, "turned_deg", 0.0, float(in_degrees(turn)), float("nan"), float("nan"), named=True))
     return out
 
 

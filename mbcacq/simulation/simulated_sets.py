@@ -16,11 +16,11 @@ from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import DEGREE, in_degrees
 
 SAME_POSE_RAD = 1e-4  # joint angles of the same pose; files keep far more digits
 SAME_TIME = 0.01  # of a sampling interval
 SAME_MOTION_RAD = 0.05  # by which a simulated servo may follow otherwise than the recorded one
-DEGREE = float(np.degrees(1))
 
 
 def observations_against(recorded: Observations, simulated: Observations) -> Observations:
@@ -60,7 +60,7 @@ def _same_poses(recorded: Observations, simulated: Observations) -> np.ndarray:
     if not same.any():
         k = int(distance.min(axis=1).argmin())
         axis = int(np.abs(recorded.q[k] - simulated.q[best[k]]).argmax())
-        one, other = (float(np.degrees(v)) for v in (recorded.q[k, axis], simulated.q[best[k], axis]))
+        one, other = (float(in_degrees(v)) for v in (recorded.q[k, axis], simulated.q[best[k], axis]))
         raise ConfigError(
             f"no simulated pose has the joint angles of a recorded one: at the nearest, A{axis + 1} was recorded at {one:.3f}° and "
             f"simulated at {other:.3f}{_unit_hint(recorded.q, simulated.q)}; simulate the recorded poses"
@@ -104,7 +104,7 @@ def trajectory_against(recorded: Trajectory, simulated: Trajectory) -> Trajector
     if apart.max() > SAME_MOTION_RAD:
         axis = int(apart.argmax())
         raise ConfigError(
-            f"{where}: A{axis + 1} is up to {np.degrees(apart[axis]):.1f}° from the simulated motion"
+            f"{where}: A{axis + 1} is up to {in_degrees(apart[axis]):.1f}° from the simulated motion"
             f"{_unit_hint(recorded.q, simulated.q)}; simulate the recorded motion"
         )
     if simulated.torque is None and (recorded.q_joint is None or simulated.q_joint is None) and simulated.q_set is None:

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.quantities import DEGREE
+
 GATE = 5.0  # times the noise: points beyond are no points of the circle
 LEAST_POINTS = 10
-LEAST_ARC = np.radians(40.0)  # of a shorter one, centre and radius are one thing to the data
+LEAST_ARC = 40.0 * DEGREE  # of a shorter one, centre and radius are one thing to the data
 LEAST_SHARE = 0.7  # of the points between the first and the last on the circle: other arcs are put together of what is beside the sphere
 TRIPLETS, ROUNDS = 120, 6
 NOISE_FLOOR_MM = 1e-5

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbcacq.quantities import DEGREE
+
 ROUGHNESS = 9.0  # times the noise of a centre: as the default's 0.08 mm to the 0.009 mm of the scanners it was chosen for
 CREDIBLE_SIGMAS = 6.0  # of a centre against its certificate: far in the tail of a normal distribution
 
@@ -35,7 +37,7 @@ class SphereOptions:
         (3,) direction from the balls to the scanner, or None to take it from the data.
     """
 
-    max_incidence: float = np.radians(65.0)
+    max_incidence: float = 65.0 * DEGREE
     max_noise: float = 0.08
     min_points: int = 60
     min_coverage: float = 0.25

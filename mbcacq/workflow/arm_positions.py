@@ -15,6 +15,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
+from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets.columns import flange_group, joint_angles, joint_columns, names_poses
 from mbcacq.recording.datasets.loose_table import TableOptions, directed, in_units
 from mbcacq.recording.datasets.pose_columns import named_convention
@@ -32,7 +33,7 @@ class ArmPosition:
 
 def typed_joints(text: str) -> ArmPosition:
     """Joint angles in deg with commas. Raises ConfigError."""
-    return ArmPosition(np.radians(_numbers(text, "--joints", "give degrees with commas, such as 0,-90,90,0,30,0")))
+    return ArmPosition(from_degrees(_numbers(text, "--joints", "give degrees with commas, such as 0,-90,90,0,30,0")))
 
 
 def typed_flange(text: str, orientation: str | None) -> ArmPosition:
@@ -46,7 +47,7 @@ def typed_flange(text: str, orientation: str | None) -> ArmPosition:
             f"--flange has {len(values)} numbers; X, Y, Z and an orientation as {orientations.in_words(convention)} are "
             f"{3 + orientations.size(convention)}"
         )
-    turns = values[3:] if convention in ("vector", "matrix", *orientations.QUATERNIONS) else np.radians(values[3:])
+    turns = values[3:] if convention in ("vector", "matrix", *orientations.QUATERNIONS) else from_degrees(values[3:])
     try:
         T = se3.transform(orientations.to_matrices(turns[None], convention), values[None, :3])
     except ValueError as error:

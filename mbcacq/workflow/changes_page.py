@@ -8,7 +8,8 @@ from typing import Any
 
 from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import capitalised, symbol
-from mbcacq.report.content import Action, ChangeRow, ChangesContent
+from mbcacq.report.content import Action
+from mbcacq.report.several import ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
 from mbcacq.workflow.compare_runs import RunComparison, best_result
 

@@ -20,11 +20,11 @@ from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import AsJson, damage, keyed
-from mbcacq.quantities import K, fixed, measured, p_value, significant, symbol
+from mbcacq.quantities import K, fixed, in_degrees, measured, p_value, significant, symbol
 from mbcacq.report.sources.coefficients import names_in_words
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
-TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
+TURNS = {"rad": in_degrees(1.0)}  # angles are shown in degrees
 DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbcacq.acquisition.cell_devices import robot_options
 from mbcacq.devices import load_driver
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan
+from mbcacq.quantities import in_degrees
 
 
 def make(loaded: LoadedPlan) -> dict[str, str]:
@@ -33,7 +32,7 @@ def facts(loaded: LoadedPlan) -> dict[str, Any]:
         "plan": loaded.plan.name,
         "robot": robot.name,
         "speed_share": loaded.plan.robot.speed,
-        "tool_frame": (*xyz.tolist(), *np.degrees(abc).tolist()),
+        "tool_frame": (*xyz.tolist(), *in_degrees(abc).tolist()),
         "load_kg": robot.payload_mass,
         "load_centre_mm": tuple(robot.payload_com.tolist()),
         "home_deg": tuple(loaded.plan.robot.home_deg),

@@ -15,6 +15,7 @@ from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import AsJson, FilePath, keyed
+from mbcacq.quantities import in_degrees
 from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
@@ -153,16 +154,16 @@ def correct(
     start = np.where(programmed[:, None], points.q, np.zeros(nominal.n))
     found = joint_targets(arm, goals, start, arm.limits) if programmed.all() else _from_anywhere(arm, goals)
     missed_mm = np.linalg.norm(arm.frames(start)[:, -1, :3, 3] - goals[:, :3, 3], axis=1)
-    change_deg = np.degrees(np.abs(found.q - start).max(axis=1))
+    change_deg = in_degrees(np.abs(found.q - start).max(axis=1))
     write_file(output, points.written(found))
     corrected = tuple(
         CorrectedPoint(
             name=name,
             line=line,
-            q_deg=tuple(np.degrees(found.q[p]).tolist()),
+            q_deg=tuple(in_degrees(found.q[p]).tolist()),
             before_mm=float(missed_mm[p]) if programmed[p] else None,
             residual_mm=float(found.error_mm[p]),
-            residual_deg=float(np.degrees(found.error_rad[p])),
+            residual_deg=float(in_degrees(found.error_rad[p])),
             largest_change_deg=float(change_deg[p]) if programmed[p] else None,
             reached=bool(found.reached[p]),
             reason=found.reasons[p],

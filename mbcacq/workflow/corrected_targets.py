@@ -18,11 +18,12 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.model.json_text import Matrix, Vector, as_list, damage, digest, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.quantities import DEGREE
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.load import as_cell, is_run_folder, load_observations
 
 LARGEST_MM = 25.0  # by which an arm in good order may miss a place; the errors of arms as delivered are below 10 mm
-SAME_PLACE = np.radians(2.0)  # of every joint: nearer, effects of gears aside, an error of the arm is the same
+SAME_PLACE = 2.0 * DEGREE  # of every joint: nearer, effects of gears aside, an error of the arm is the same
 WITH_EFFECTS = "with-effects"  # folder in that of a run, of the result with what its diagnosis found
 CalibratedArm = CalibratedCell | dict[str, Any] | Path | str
 

@@ -82,14 +82,15 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
 
     Raises ConfigError for a damaged certificate or where the file exists, RecordingError where it cannot be written.
     """
-    from mbcacq.exports.certificate import artefact_yaml, read_certificate_file
+    from mbcacq.exports.certificate import read_certificate_file
+    from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
 
     output = Path(out) if out is not None else Path(f"{artefact_id}.yaml")
     refuse_existing(output, force, f"{output} exists; give another --output, or --force to replace it")
     certified = read_certificate_file(Path(certificate), artefact_id)
     found = certified.artefact
     notes = {"notes": list(certified.notes)} if certified.notes else {}
-    write_file(output, artefact_yaml(found))
+    write_file(output, artefact_to_yaml(found))
     return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm} | notes
 
 

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.bounded_read import read_bounded
+from mbcacq.files.bounded_read import bytes_of
 from mbcacq.files.table import Column, TableSchema, joint_columns, read_table
 from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
+from mbcacq.quantities import DEGREE, in_degrees
 
-NEAR = float(np.radians(3.0))  # of a planned pose: a program goes there exactly
+NEAR = 3.0 * DEGREE  # of a planned pose: a program goes there exactly
 MAX_BYTES = 64 << 20
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _AT = re.compile(r"mb_at\[(\d+)\]\s*=\s*\{([^{}]*)\}", re.IGNORECASE)
@@ -70,17 +71,12 @@ def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
     for row in rows:
         if len(row) != n or not all(re.fullmatch(_NUMBER, v, re.ASCII) and np.isfinite(float(v)) for v in row):
             raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles that are numbers; save the log anew")
-    return np.degrees(np.array(rows, dtype=float)), None
+    return in_degrees(np.array(rows, dtype=float)), None
 
 
 def _text(path: Path) -> str:
-    try:
-        data = read_bounded(path, MAX_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the log of the joint angles") from error
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; give the part of the log with the joint angles")
-    return data.decode("latin-1")
+    part = "give the part of the log with the joint angles"
+    return bytes_of(path, MAX_BYTES, "give the log of the joint angles", part).decode("latin-1")
 
 
 def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:
@@ -90,7 +86,7 @@ def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:
 
 
 def _refuse_radians(path: Path, loaded: LoadedPlan, q: np.ndarray, rows: np.ndarray, poses: list[PlannedPose]) -> None:
-    in_radians = from_controller(loaded, np.degrees(rows))
+    in_radians = from_controller(loaded, in_degrees(rows))
     if np.median(_away(q, poses).min(axis=1)) > NEAR and np.median(_away(in_radians, poses).min(axis=1)) < NEAR:
         raise ConfigError(f"{path}: its angles are in rad, not in deg; name the columns q1_rad.. or convert them")
 
@@ -122,7 +118,7 @@ def _paired(path: Path, q: np.ndarray, number: list[int] | None, poses: list[Pla
             k = int((later if len(later) else near)[0])
             position = k + 1
         if away[row, k] > NEAR:
-            degrees = np.degrees(away[row, k])
+            degrees = in_degrees(away[row, k])
             notes.append(f"{path.name}: at pose {poses[k].number} the arm stood {degrees:.2f}° from where the plan has it")
         found[poses[k].number] = q[row]
     return JointLog(found, notes)

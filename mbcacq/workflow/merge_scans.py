@@ -20,7 +20,7 @@ from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
-from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of, thinned
+from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.workflow.load import as_cell, is_run_folder
 
 VOXELS_PER_SPACING = 1.0
@@ -122,7 +122,7 @@ def merge_scans(
     scans = _scans(source, observations, station)
     progress("comparing the scans where they overlap")
     count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
-    seen = _thinned(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)), o)
+    seen = _thinned(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
     ways = placements(cell)
     compared = agreement(seen[0], ways, o)
     voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
@@ -181,23 +181,22 @@ def _station(observations: Observations, wanted: str | None) -> str:
     return parts[0]
 
 
-def _thinned(scans: Scans, most: int, options: PartOptions) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
-    """All scans with at most so many points each; and the median spacing of their points in mm."""
-    kept, spacing = [], []
+def _thinned(scans: Scans, most: int) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
+    """The first exposure of every pose with at most so many points; and the median spacing of the points in mm.
+
+    Further exposures of a pose stand where the first one does: they tell nothing of the cell.
+    """
+    kept, apart = [], []
     for scan in scans():
+        if kept and scan.number == kept[-1][0].number:
+            continue
         surface = surface_of(scan)
         some = thinned(surface, most)
         kept.append((PartScan(scan.number, scan.q, some.points), some))
-        spacing.append(_spacing(surface.points))
+        apart.append(spacing(surface.points))
     if not kept:
         raise ConfigError("the recording holds no scan of the part; was it recorded with keep_clouds, or are its clouds in scans/POSE.ply?")
-    return kept, float(np.median(spacing))
-
-
-def _spacing(points: np.ndarray) -> float:
-    from scipy.spatial import KDTree
-
-    return float(np.median(KDTree(points).query(points[:: max(1, len(points) // 300)], k=2)[0][:, 1]))
+    return kept, float(np.median(apart))
 
 
 def _scans(source: Path, observations: Observations, station: str) -> Scans:

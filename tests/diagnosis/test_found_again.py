@@ -10,7 +10,7 @@ from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAga
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
 from mbcacq.diagnosis.model_fit import PartModel
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
-from mbcacq.diagnosis.output.orders import pooled_spread, stated_orders
+from mbcacq.diagnosis.output.orders import fast_part, pooled_spread, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.folds import blocks
@@ -177,3 +177,11 @@ def test_halves_are_blocks_that_share_no_pose():
     assert np.array_equal(np.unique(half), [0, 1])
     assert abs(np.sum(half == 0) - np.sum(half == 1)) <= 8
     assert np.sum(np.diff(half[order]) != 0) == 7
+
+
+def test_what_geometry_and_gravity_could_do_is_no_part_of_the_error_of_a_gear():
+    angle = np.random.default_rng(3).uniform(-1.5, 1.5, 800)
+    slow, fast = 5.0 * np.cos(angle) - 2.0 * angle + 1.0, np.sin(14.0 * angle)
+
+    np.testing.assert_allclose(fast_part(angle, slow + fast).std(), np.sqrt(0.5), rtol=0.06)
+    assert fast_part(angle, slow).std() < 0.05

@@ -5,8 +5,9 @@ import pytest
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.certificate import artefact_yaml, read_certificate, read_certificate_file
+from mbcacq.exports.certificate import read_certificate, read_certificate_file
 from mbcacq.model.cell_schema import ArtefactSpec
+from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
 
 CSV = "label,x (mm),y (mm),z (mm),diameter,form,U (k=2),k,T\nKugel 1,-4.4902,24.8573,-10.4992,12.0003,0.0004,0.0021,2,20.1\nKugel 2,-37.3617,6.3120,-5.4404,11.9998,0.0003,0.0017,2,20.1\n"
 DMO = """$$ measured 2026-03-04
@@ -91,12 +92,12 @@ def test_dmis_in_inches_is_read_in_millimetres(write):
 
 def test_the_artefact_file_reads_back_exactly(write):
     a = read_certificate(write("c.csv", CSV), "mbc")
-    for text in (artefact_yaml(a),):
+    for text in (artefact_to_yaml(a),):
         b = ArtefactSpec.model_validate(yaml.safe_load(text)).model()
         np.testing.assert_array_equal(a.centres, b.centres)
         np.testing.assert_array_equal(a.diameters, b.diameters)
         assert (a.ball_ids, a.uncertainty_mm, a.reference_temperature_C) == (b.ball_ids, b.uncertainty_mm, b.reference_temperature_C)
-    again = read_certificate(write("ours.yaml", artefact_yaml(a)), "mbc")
+    again = read_certificate(write("ours.yaml", artefact_to_yaml(a)), "mbc")
     np.testing.assert_array_equal(a.centres, again.centres)
     assert again.uncertainty_mm == a.uncertainty_mm
 

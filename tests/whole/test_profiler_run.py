@@ -9,13 +9,16 @@ from mbcacq_fakes.cell.fake_cell import FakeCell
 import mbcacq
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.sweep_measurement import take_sweep
-from mbcacq.devices import SafetyStop
+from mbcacq.devices import Cycles, SafetyStop
+from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
 from mbcacq.plan.motion_limits import motion_limits, sweep_limits
 from mbcacq.plan.timing import joint_motion
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.assemble import assemble
 from mbcacq.recording.rrd.reader import Recording, intact
+from mbcacq.recording.rrd.sweeps import sweep_observations
 
 PLANS = Path(__file__).parents[2] / "plans"
 BEGAN_S = 950.25
@@ -64,6 +67,24 @@ def test_the_recording_has_every_profile_that_came_and_counts_the_others(run):
         assert int(row["lost"][0]) == int(np.sum(np.diff(row["counter"]) - 1)) > 0
         # The sensor's clock, 60 profiles a second from the moment the arm was told to go.
         np.testing.assert_allclose(row["time_s"] - row["time_s"][0], (row["counter"] - row["counter"][0]) / 60, atol=5e-6)
+
+
+def test_a_resumed_run_has_one_clock_though_its_times_overlap_and_another_clock_is_refused(run):
+    """The controller of the fake cell goes on at the last pose, so both parts have cycles of the same times at other places."""
+    recording = Recording(run / layout.RUN_FILE)
+    cell, rows, cycles = recording.text(layout.CELL), recording.observed(), recording.cycles(("time_s", "q"))
+    sweeps = [row for row in recording.rows(layout.SWEEP) if "points" in row]
+    whole = sweep_observations(assemble(cell, "run", rows), sweeps, [cycles], "run")
+    overlap = 5.0
+    later = [{**s, "part": np.array([1]), "time_s": s["time_s"] - overlap, "began_s": s["began_s"] - overlap} for s in sweeps[3:]]
+    again = Cycles({"time_s": cycles.columns["time_s"] - overlap, "q": cycles.columns["q"]})
+    parted = sweep_observations(assemble(cell, "run", rows), [*sweeps[:3], *later], [cycles, again], "run")
+    np.testing.assert_allclose(parted.q, whole.q, atol=2e-6)
+    np.testing.assert_allclose(parted.xyz, whole.xyz, atol=2e-3)
+    np.testing.assert_allclose(parted.time_s[-6:], whole.time_s[-6:] - overlap, atol=1e-3)
+    restarted = [{**s, "time_s": s["time_s"] - 40.0} for s in later]
+    with pytest.raises(RecordingError, match="began anew between two parts of the run"):
+        sweep_observations(assemble(cell, "run", rows), [*sweeps[:3], *restarted], [cycles, again], "run")
 
 
 def test_a_sweep_moves_all_axes_in_proportion_within_the_limits_at_the_speed_asked(plan):

@@ -15,6 +15,7 @@ from mbcacq.files.stated_unit import in_words
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.field_of_view import margin
+from mbcacq.quantities import from_degrees, in_degrees
 
 Look = Callable[[FoundCloud, str, str], FoundCloud]  # a cloud read once more: in another unit, with other axes
 TRIED = 5  # clouds that a guess is tried with
@@ -102,11 +103,11 @@ def refuse_other_session(
 def _refuse_exchanged(R: np.ndarray, axes: str) -> None:
     """R (3, 3): from the clouds' coordinates to those of the plan's scanner frame."""
     nearest = max(rotations(), key=lambda M: float(np.trace(M.T @ R)))
-    if np.degrees(np.arccos(np.clip((np.trace(nearest.T @ R) - 1) / 2, -1, 1))) > EXCHANGED_DEG:
+    if in_degrees(np.arccos(np.clip((np.trace(nearest.T @ R) - 1) / 2, -1, 1))) > EXCHANGED_DEG:
         return
     named = _named(nearest, axes)
     if nearest[2, 2] > 0.5:
-        angle = np.degrees(np.arctan2(nearest[1, 0], nearest[0, 0]))
+        angle = in_degrees(np.arctan2(nearest[1, 0], nearest[0, 0]))
         raise ConfigError(
             f"the scanner is turned by {angle:.0f}° about its own axis against the plan's hand_eye: mounted otherwise on the flange? "
             f"Correct hand_eye, or, if it is the clouds that have other axes, add --axes '{named}'"
@@ -120,7 +121,7 @@ def _refuse_exchanged(R: np.ndarray, axes: str) -> None:
 def _refuse_other_mount(loaded: LoadedPlan, fit: PlacementFit, axes: str) -> None:
     away = se3.inverse(loaded.cell.T_flange_scanner) @ fit.T_flange_scanner
     shift = fit.T_flange_scanner[:3, 3] - loaded.cell.T_flange_scanner[:3, 3]
-    turn = np.degrees(np.arccos(np.clip((np.trace(away[:3, :3]) - 1) / 2, -1, 1)))
+    turn = in_degrees(np.arccos(np.clip((np.trace(away[:3, :3]) - 1) / 2, -1, 1)))
     if np.linalg.norm(shift) < EXCHANGED_MM and turn > 45:
         _refuse_exchanged(away[:3, :3], axes)
     if np.linalg.norm(shift) > OTHER_MOUNT_MM or turn > OTHER_MOUNT_DEG:
@@ -215,5 +216,5 @@ def _named(M: np.ndarray, axes: str) -> str:
 def _turned(T_flange_scanner: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
     """The scanner turned about the flange's z axis by the angles at which its bolts let it sit; the fit finds smaller ones by itself."""
     for angle in (90.0, 180.0, 270.0):
-        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        c, s = np.cos(from_degrees(angle)), np.sin(from_degrees(angle))
         yield angle, se3.transform(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.zeros(3)) @ T_flange_scanner

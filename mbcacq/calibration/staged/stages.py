@@ -13,6 +13,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.initial_guess import hand_eye_from_fixed_points
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 
 
 def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.ndarray]]:
@@ -94,7 +95,7 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
     guess = obs.cell.T_flange_scanner
     turned = se3.rotation_log(guess[:3, :3].T @ R)
     return X, [
-        {"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T), "change_deg": float(np.degrees(np.linalg.norm(turned)))},
+        {"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T), "change_deg": float(in_degrees(np.linalg.norm(turned)))},
         {
             "stage": "hand-eye translation from orientations",
             "poses": len(T_turned),

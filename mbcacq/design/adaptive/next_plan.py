@@ -8,8 +8,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import accepted_places
 from mbcacq.design.adaptive.pool import not_measured, reachable_views, routed, shortest_order
@@ -23,6 +21,7 @@ from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.plan.feasibility import check
+from mbcacq.quantities import in_degrees
 
 DIGITS = 3  # of an angle in degrees: a hundredth of what arms repeat
 MOST_NAMED = 3  # effects that a sentence names
@@ -70,7 +69,7 @@ class NextPoses:
         return tuple(
             Advice(
                 f"{why}: measure {len(v.poses)} poses at station {v.station}",
-                tuple(tuple(float(a) for a in np.degrees(p.q).round(DIGITS)) for p in v.poses),
+                tuple(tuple(float(a) for a in in_degrees(p.q).round(DIGITS)) for p in v.poses),
             )
             for v in self.visits
         )
@@ -104,7 +103,7 @@ def costs_of(loaded: LoadedPlan, measured: Observations | None, options: Adaptiv
 def moved_artefacts(measured: Observations) -> tuple[int, dict[str, str]]:
     """How often artefacts were moved while a recording was made, and the station at which each stands after it."""
     moves, at = 0, dict[str, str]()
-    for k in np.arange(measured.n_poses) if measured.time_s is None else np.argsort(measured.time_s, kind="stable"):
+    for k in measured.measuring_order:
         station = measured.cell.stations[measured.station[k]]
         moves += at.get(station.artefact) != station.id
         at[station.artefact] = station.id
@@ -204,7 +203,7 @@ def steps_of(loaded: LoadedPlan, visits: Sequence[Visit], first: int = 1) -> lis
                 "phase": "position",
                 "do": "joints",
                 "station": int(visit.station) if visit.station.isdecimal() else visit.station,
-                "poses_deg": [[float(a) for a in np.degrees(p.q).round(DIGITS)] for p in poses],
+                "poses_deg": [[float(a) for a in in_degrees(p.q).round(DIGITS)] for p in poses],
             }
             out.append(step if balls is None else {**step, "balls": list(balls)})
     return out

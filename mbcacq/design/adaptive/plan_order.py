@@ -120,7 +120,7 @@ def _information(
     """Blocks of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
     every = [*kept, *poses]
     obs = planned_observations(loaded, [replace(p, number=k) for k, p in enumerate(every)])
-    home = np.radians(loaded.plan.robot.home_deg)
+    home = loaded.plan.robot.home
     obs = replace(obs, direction=np.sign(obs.q - home).astype(int))  # as if each were the first after home
     linear = LinearProblem.of(obs, planned_state(loaded))
     asked = questions(None, linear, timeless=True)

@@ -44,7 +44,7 @@ def shortest_order(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Pla
     """The poses of a visit, each the nearest (in the largest joint motion) to the one before, from home; those that look at one ball by
     itself follow each other.
     """
-    left, out, at = list(poses), list[PlannedPose](), np.radians(loaded.plan.robot.home_deg)
+    left, out, at = list(poses), list[PlannedPose](), loaded.plan.robot.home
     while left:
         same = [p for p in left if out and len(p.balls) == 1 and p.balls == out[-1].balls] or left
         nearest = min(same, key=lambda p: float(np.abs(p.q - at).max()))

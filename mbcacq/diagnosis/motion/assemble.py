@@ -30,6 +30,7 @@ from mbcacq.diagnosis.output.evidence_summary import summary_of
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.motion_effect import MotionSignals
+from mbcacq.quantities import in_degrees
 
 MILLI = 1e3  # mm in a metre
 
@@ -192,8 +193,8 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
     robot = runs[0].robot
     if not not_separable or robot is None:
         return []
-    low, high = (np.degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
-    limits = np.degrees(robot.limits)
+    low, high = (in_degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
+    limits = in_degrees(robot.limits)
     small = [j for j in range(1, robot.n) if high[j] - low[j] < NUMBERS.wide_range * (limits[j, 1] - limits[j, 0])]
     ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)

@@ -17,6 +17,7 @@ from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor, tool_sigma
 from mbcacq.model.cell import RobotModel
+from mbcacq.quantities import in_degrees
 
 QUARTER = np.pi / 2
 FEW_RADIANS = 7.0  # deg; angles that stay below may be in radians
@@ -115,8 +116,8 @@ def _readings(robot: RobotModel, samples: Samples) -> Iterator[Reading]:
         order[[i, j]] = j, i
         yield Reading(f"the columns of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, order)
         yield Reading(f"the torques of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, straight)
-    if np.degrees(np.abs(samples.q)).max() < FEW_RADIANS:
-        yield Reading("the angles read as radians, not degrees", one, zero, one, straight, straight, scale=float(np.degrees(1)))
+    if in_degrees(np.abs(samples.q)).max() < FEW_RADIANS:
+        yield Reading("the angles read as radians, not degrees", one, zero, one, straight, straight, scale=float(in_degrees(1)))
     for what, down in DOWN.items():
         yield Reading(f"gravity {what}", one, zero, one, straight, straight, gravity=down)
 

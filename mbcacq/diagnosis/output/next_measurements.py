@@ -17,6 +17,7 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 
 TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives
 
@@ -142,7 +143,7 @@ def first_poses(context: Context) -> tuple[tuple[float, ...], ...]:
 
 
 def _in_degrees(q: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(v) for v in row) for row in np.degrees(q).round(3))
+    return tuple(tuple(float(v) for v in row) for row in in_degrees(q).round(3))
 
 
 ROUNDED = 1e-10  # share of an effect's displacement below which what is left of it is rounding

@@ -25,7 +25,7 @@ from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, micrometres, p_value, significant, with_unit
+from mbcacq.quantities import K, in_degrees, micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
@@ -203,7 +203,7 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
         for name in partly_covered(setup.context, candidate, hyper):
             values = setup.context.value(name)
             share = periods_covered(values, hyper or 0.0)
-            low, high = np.degrees([values.min(), values.max()])
+            low, high = in_degrees([values.min(), values.max()])
             out.append(
                 f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period; it is a "
                 f"smooth function of {name} from {low:.0f} to {high:.0f}°, and is not shown to repeat beyond"
@@ -246,8 +246,7 @@ def confounded_pauses(obs: Observations, effects: Sequence[EffectFound]) -> list
     moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
     out = []
     for after, pause in pauses(obs):
-        assert obs.time_s is not None, "a recording that pauses has times"
-        rank = {int(n): r for r, n in enumerate(obs.pose_id[np.argsort(obs.time_s, kind="stable")])}
+        rank = {int(n): r for r, n in enumerate(obs.pose_id[obs.measuring_order])}
         near = [m for m, std in moments if abs(rank.get(round(m), np.inf) - rank[after]) <= max(2 * std, 5.0)]
         if near:
             out.append(
@@ -263,7 +262,7 @@ def pauses(obs: Observations) -> list[tuple[int, str]]:
     """Pauses of a recording: number of the pose after each, and the pause in words with the temperatures that changed across it."""
     if obs.time_s is None:
         return []
-    order = np.argsort(obs.time_s, kind="stable")
+    order = obs.measuring_order
     out = []
     for a, b in zip(order[:-1], order[1:], strict=True):
         if (pause := obs.time_s[b] - obs.time_s[a]) > PAUSE_S:

@@ -16,17 +16,20 @@ from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain, PossibleOrder
 from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART, OrderPeak, other_peaks, resolution_of
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.search.effect_columns import covariates
+from mbcacq.diagnosis.nonparametric.joint_model import coefficients_of
+from mbcacq.diagnosis.search.effect_columns import candidate_parts, covariates
 from mbcacq.diagnosis.validation.found_again import jackknife
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.quantities import K
+from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
+from mbcacq.quantities import K, in_degrees
 
 MOST_PEAKS = 3  # that are stated with their odds; more say that the order is not determined
 SHARPEST = 0.5  # expanded uncertainty from which an order is not determined: it does not tell one whole number from the next
 ONE_PEAK = 0.4  # of the resolution, within which orders of two parts are one
 ALIASES = 2.0  # orders, or one resolution, within which what parts have is the same line
 LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of which a joint has one component for each line
-RMS = "rms_deg"  # of the periodic error of a joint, all lines together
+RMS = "rms_deg"  # over the poses, of the error of a joint by its own angle: its fast lines, and what they leave
+SLOW = UNMODELLED.slow_order  # orders below trade with geometry and gravity, and are no part of that
 CROWDED = 2.0  # resolutions, within which two lines of a joint trade with each other where the error is no sum of sines
 
 
@@ -60,14 +63,44 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
             peaks.setdefault(at, []).append(other_peaks(reported, member))
             resolution[at] = resolution_of(reported, member.candidate)
             middle[at] = float(np.mean(covariates(reported.point.linear).value(member.candidate.depends_on)))
-    out, spread = [], pooled_spread(effects, resolution)
+    out, spread, whole = [], pooled_spread(effects, resolution), own_errors(full)
     for effect in effects:
         for at in effect.where:
             if f"{at}.order" in effect.parameters and at in peaks:
                 parts = next((one for one in effect.found_again if one.at == at and one.disjoint), None)
-                effect = stated_orders(effect, at, peaks[at], parts, resolution[at], spread, middle[at])
+                effect = stated_orders(effect, at, peaks[at], parts, resolution[at], spread=spread, middle=middle[at], whole=whole.get(at))
         out.append(effect)
     return out
+
+
+def own_errors(full: ModelFit) -> dict[str, float]:
+    """Joint with a periodic error -> rms over the poses, deg, of all that it turns by as a fast function of its own angle: the lines, and
+    what is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does.
+    """
+    linear, model = full.geometry_only.linear, full.model
+    turned = [
+        (m.candidate.where[0], m.candidate.depends_on, candidate_parts(linear, m.candidate, m.hyper), model.coefficients[own])
+        for m, own in zip(model.members, model.slices(), strict=True)
+        if m.candidate.periodic
+    ]
+    fast = {m.candidate.where[0] for m in model.members if m.candidate.periodic and m.value >= SLOW}
+    joints = {(at, on) for at, on, *_ in turned if at in fast}
+    each, (found, _) = zip(full.random, coefficients_of(full.random), strict=True), full.random_effects
+    turned += [(g.location, g.depends_on, g.parts, found[own]) for g, own in each if (g.location, g.depends_on) in joints]
+    out: dict[tuple[str, str], np.ndarray] = {}
+    for at, on, parts, coefficients in turned:
+        for part in parts:
+            if part.place == "joint" and (at, on) in joints:
+                out[at, on] = out.get((at, on), np.zeros(len(part.basis))) + part.basis @ coefficients
+    return {at: float(in_degrees(fast_part(covariates(linear).value(on), f).std())) for (at, on), f in out.items()}
+
+
+def fast_part(angle: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (P,) at angles (P,) without their part of orders below ``SLOW``, by a parabola and half waves over the travel."""
+    travel = float(np.ptp(angle))
+    half_waves = np.arange(int(SLOW * travel / np.pi) + 1)
+    X = np.column_stack([angle, angle**2, np.cos(np.pi * half_waves * (angle - angle.min())[:, None] / max(travel, 1e-9))])
+    return values - X @ np.linalg.lstsq(X, values, rcond=None)[0]
 
 
 def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float]) -> HalfDifference:
@@ -94,6 +127,7 @@ def stated_orders(
     resolution: float,
     spread: HalfDifference = NO_DIFFERENCE,
     middle: float = 0.0,
+    whole: float | None = None,
 ) -> EffectFound:
     """The effect with the orders of one joint.
 
@@ -109,6 +143,8 @@ def stated_orders(
         By how much halves differ.
     middle
         Mean of the angle, rad: an order is turned about it, and the phase at zero with it.
+    whole
+        Rms of the fast error of the joint by its own angle, deg; None for that of its lines.
     """
     orders, sigmas = (np.array(x) for x in effect.parameters[f"{at}.order"].components)
     lines = []
@@ -130,8 +166,8 @@ def stated_orders(
     ]
     single = [determined and len(line) == 1 for determined, line in zip(known, lines, strict=True)]
     total = np.array([line[0].sigma for line in lines])
-    turned = np.degrees(np.sqrt(np.maximum(total**2 - sigmas**2, 0.0)) * abs(middle))
-    parameters = of_lines(effect.parameters, at, (total, turned), single, parts, spread)
+    turned = in_degrees(np.sqrt(np.maximum(total**2 - sigmas**2, 0.0)) * abs(middle))
+    parameters = of_lines(effect.parameters, at, (total, turned), single, parts, spread, whole)
     return replace(effect, parameters=parameters, orders=(*effect.orders, *listed))
 
 
@@ -175,9 +211,10 @@ def of_lines(
     single: Sequence[bool],
     parts: FoundAgain | None,
     spread: HalfDifference = NO_DIFFERENCE,
+    whole: float | None = None,
 ) -> dict[str, ParameterEstimate]:
-    """The parameters with those lines of a joint alone that have a single order; where others are left out, the rms of all lines together,
-    which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
+    """The parameters with those lines of a joint alone that have a single order; where others are left out, the rms of all together, which
+    is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
     """
     columns = {name: np.array(parameters[f"{at}.{name}"].components) for name in LINE if f"{at}.{name}" in parameters}
     chosen = np.flatnonzero(single)
@@ -200,7 +237,7 @@ def of_lines(
             out[key] = ParameterEstimate(tuple(values[chosen].tolist()), tuple(stds[chosen].tolist()))
     if not all(single) and "amplitude_deg" in columns:
         values, stds = columns["amplitude_deg"]
-        out[f"{at}.{RMS}"] = rms_of_lines(values, stds, rms_in_parts(parts, f"{at}.amplitude_deg"), spread)
+        out[f"{at}.{RMS}"] = rms_of_lines(values, stds, rms_in_parts(parts, f"{at}.amplitude_deg"), spread, whole)
     return out
 
 
@@ -209,10 +246,15 @@ def rms_in_parts(parts: FoundAgain | None, name: str) -> np.ndarray:
     return np.array([] if parts is None else [np.sqrt(np.sum(np.square(p.components[0])) / 2) for p in parts.values.get(name, ())])
 
 
-def rms_of_lines(values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference) -> ParameterEstimate:
-    """Rms over a whole period of all lines of a joint, deg, by their amplitudes (k,); no surer than disjoint parts differ by. each: (n,) of
-    the parts.
+def rms_of_lines(
+    values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference, whole: float | None = None
+) -> ParameterEstimate:
+    """Rms of the error of a joint by its own angle, deg: ``whole``, or that of its lines by their amplitudes (k,). It is no surer, relative
+    to its size, than the lines are and than disjoint parts differ by. each: (n,) of the lines of the parts.
     """
     rms = float(np.sqrt(values @ values / 2))
-    std = max(float(np.sqrt(np.sum((values * stds) ** 2)) / (2 * max(rms, 1e-300))), spread.size * rms)
-    return ParameterEstimate(rms, max(std, float(jackknife(each[:, None])[0])) if len(each) > 1 else std)
+    relative = max(float(np.sqrt(np.sum((values * stds) ** 2)) / (2 * max(rms, 1e-300) ** 2)), spread.size)
+    if len(each) > 1:
+        relative = max(relative, float(jackknife(each[:, None])[0]) / max(rms, 1e-300))
+    size = rms if whole is None else whole
+    return ParameterEstimate(size, relative * size)

@@ -30,6 +30,7 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE, Part
 from mbcacq.model.json_text import plain
+from mbcacq.quantities import in_degrees
 
 FORMAT = "mbcacq-diagnosis-pictures/1"
 MOST_POINTS = 3000  # centres, and points of a curve, that are drawn
@@ -203,7 +204,7 @@ def response_curve(linear: LinearProblem, residual: np.ndarray, effect: DrawnEff
 
     x_label, x_unit, factor = axis_of(effect.depends_on)
     if effect.order is not None and effect.order > FOLDED:
-        x_label, x = f"phase of {effect.at}'s {effect.order:.5g} waves a turn", np.degrees(np.mod(x * effect.order, 2 * np.pi))
+        x_label, x = f"phase of {effect.at}'s {effect.order:.5g} waves a turn", in_degrees(np.mod(x * effect.order, 2 * np.pi))
     else:
         x = factor * x
     order = np.argsort(x, kind="stable")

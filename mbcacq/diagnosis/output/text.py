@@ -17,7 +17,20 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
 from mbcacq.estimation.several_recordings import BetweenRecordings
-from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
+from mbcacq.quantities import (
+    K,
+    fixed,
+    in_degrees,
+    listed,
+    measured,
+    micrometres,
+    p_value,
+    percent,
+    significant,
+    split_unit,
+    uncertainty,
+    with_unit,
+)
 
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
@@ -37,7 +50,6 @@ LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model describes it."
 FINDINGS = "Effects, ± U (k = 2):"
 TRENDS = "Trends, without a reliable figure:"
-SUSPECTED = "No model of it predicts held-out data: the location below is a suspicion."
 
 
 def words(d: Diagnosis, calibrated: bool = False) -> str:
@@ -142,7 +154,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     findings, trends = findings_and_trends(d.effects)
     what = _named(findings) or ("no effect with a reliable figure" if trends else "no effect")
     if d.verdict == "unexplained":
-        what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
+        what += f". {STANDS_IN}"
     # By chi2, as the share of each effect: squares of millimetres also count how uncertain the fit is.
     removed = (held.before_chi2_dof - held.after_chi2_dof) / max(held.before_chi2_dof - 1.0, 1e-9)
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
@@ -336,7 +348,7 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
 
 def size_of_shape(effect: EffectFound, shape: ResponseShape) -> str:
     """How large an unmodelled effect of a motion is."""
-    size = f"{significant(shape.rms)} N·m" if effect.channel == "tau" else f"{significant(float(np.degrees(shape.rms)))}°"
+    size = f"{significant(shape.rms)} N·m" if effect.channel == "tau" else f"{significant(float(in_degrees(shape.rms)))}°"
     return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 

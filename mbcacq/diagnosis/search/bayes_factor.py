@@ -86,12 +86,13 @@ def over_sizes(
     The average is taken about the most probable sizes ``chosen``, one effect at a time, as that of the Bayes factor.
     """
     best = np.array(chosen)
-    mean, covariance = _posterior(A, a, slices, best)
+    width = [p.stop - p.start for p in slices]
+    mean, covariance = posterior_of(A, a, np.repeat(best, width))
     total, spread = mean.copy(), covariance.copy()
     for j, own in enumerate(sizes):
         logs = _OneEffect(A, a, slices, j, positive).log_factors(without(best, j, j + 1), own)
         share = np.exp(logs - np.logaddexp.reduce(logs))
-        each = [_posterior(A, a, slices, np.where(np.arange(len(best)) == j, size, best)) for size in own]
+        each = [posterior_of(A, a, np.repeat(np.where(np.arange(len(best)) == j, size, best), width)) for size in own]
         away = np.array([m - mean for m, _ in each])
         middle = share @ away
         total += middle
@@ -99,9 +100,8 @@ def over_sizes(
     return total, spread
 
 
-def _posterior(A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of all coefficients at one size of each effect."""
-    t = np.repeat(sizes, [p.stop - p.start for p in slices])
+def posterior_of(A: np.ndarray, a: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (k,) and covariance (k, k) of coefficients of these sizes (k,)."""
     inverse = t[:, None] * np.linalg.inv(t[:, None] * A * t + np.eye(len(t))) * t
     return inverse @ a, inverse
 

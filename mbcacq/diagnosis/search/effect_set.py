@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.bayes_factor import posterior_of
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.random_effect_sizes import consecutive
 
@@ -100,8 +101,7 @@ class EffectSet:
         """Effects with the posterior of their coefficients, each at its most probable size. A (k, k), a (k,): normal equations beyond
         everything else, of coefficients in typical sizes."""
         size = np.concatenate([np.zeros(0), *(np.full(m.candidate.k, m.size) for m in members)])
-        inverse = np.linalg.inv(size[:, None] * A * size + np.eye(len(size)))
-        return cls.in_typical_sizes(members, size * (inverse @ (size * a)), size[:, None] * inverse * size)
+        return cls.in_typical_sizes(members, *posterior_of(A, a, size))
 
     @classmethod
     def in_typical_sizes(cls, members: Sequence[Member], coefficients: np.ndarray, covariance: np.ndarray) -> EffectSet:

@@ -168,7 +168,7 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
 def blocks(obs: Observations, folds: int) -> np.ndarray:
     """(P,) fold of each pose: four blocks of the order of measurement in each fold, of each of several recordings."""
     recording = np.zeros(obs.n_poses, int) if obs.recording is None else obs.recording
-    measured = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(np.argsort(obs.time_s, kind="stable"))
+    measured = np.argsort(obs.measuring_order)
     out = np.zeros(obs.n_poses, int)
     for r in np.unique(recording):
         here = recording == r

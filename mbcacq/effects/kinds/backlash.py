@@ -9,9 +9,10 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, StandstillRows, Support, number, plain_report
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, StandstillRows, Support, angle, plain_report
 from mbcacq.effects.functions import DescribedPart, linear, of
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
+from mbcacq.quantities import in_degrees
 
 NAME = "backlash"
 DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5, in_motion=5))
@@ -69,7 +70,7 @@ def report_of(i: int) -> Report:
     """The width, whose half is the size of the coefficient."""
 
     def report(c, v, _):
-        return {f"A{i + 1}.width_deg": number(np.degrees(2 * abs(c[0])), np.degrees(2 * np.sqrt(v[0, 0])))}
+        return {f"A{i + 1}.width_deg": angle(2 * abs(c[0]), 2 * np.sqrt(v[0, 0]))}
 
     return report
 
@@ -79,7 +80,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
-        axis, width, degrees = f"A{j + 1}", f"A{j + 1}.width_deg", float(np.degrees(1))
+        axis, width, degrees = f"A{j + 1}", f"A{j + 1}.width_deg", float(in_degrees(1))
         by_direction = plain_report(width, scale=degrees)
         out.append(Candidate(NAME, (axis,), f"direction_{j + 1}", MotionRows((j,), _by_direction), by_direction, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):

@@ -8,12 +8,13 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, PeriodicInMotion
-from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, StandstillRows, Support, number
+from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, StandstillRows, Support, angle, number
 from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, cosine, periods_covered, sine
+from mbcacq.quantities import in_degrees
 
 NAME = "gear_transmission_error"
 DECLARED = Declaration(
-    periodic_in_motion=PeriodicInMotion(channel="q_joint", lowest_order=0.0, amplitude="amplitude_deg", scale=float(np.degrees(1))),
+    periodic_in_motion=PeriodicInMotion(channel="q_joint", lowest_order=0.0, amplitude="amplitude_deg", scale=float(in_degrees(1))),
     challenge=Challenge(number=4, in_motion=6),
 )
 # Data sheets state 0.3 to 1 mrad of transmission error; a disc of an encoder 40 mm wide that sits off by 0.1 mm makes 5 mrad.
@@ -69,8 +70,8 @@ def report_of(joint: str, q: np.ndarray) -> Report:
         order_std = phase_std / spread
         return {
             f"{joint}.order": number(order.value, order_std),
-            f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
-            f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.hypot(phase_std, order_std * middle))),
+            f"{joint}.amplitude_deg": angle(amplitude, np.sqrt(along @ v @ along)),
+            f"{joint}.phase_deg": angle(np.arctan2(c[1], c[0]), np.hypot(phase_std, order_std * middle)),
         }
 
     return report

@@ -24,6 +24,7 @@ from mbcacq.effects.effect import (
     PriorOdds,
     Report,
     StandstillRows,
+    angle,
     number,
     plain_report,
     standard_deviations,
@@ -32,13 +33,14 @@ from mbcacq.effects.functions import DescribedPart, Function, Product
 from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
 from mbcacq.model.cell import RobotModel
+from mbcacq.quantities import DEGREE
 
 NAME = "gravity_compensator"
 LEVER_RATIOS = np.array([0.15, 0.25, 0.4])  # k / D of built balancers
 TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m)
-UPRIGHT_SIGMA = np.radians(10.0)  # by how much q0 may differ from the upright angle
+UPRIGHT_SIGMA = 10.0 * DEGREE  # by how much q0 may differ from the upright angle
 STEP = 1e-3  # rad, of a numerical derivative; at 1e-4 both differ in the seventh digit
-LEAST_SPAN = np.radians(20.0)
+LEAST_SPAN = 20.0 * DEGREE
 # Arms by the mass of their links. Those for 100 kg and more on the flange have 800 kg and more (KR 120 to KR 300), those for 70 kg have 420
 # (KR 70), those for 20 kg have 190 (KR 20). Of the heavy ones nearly all are built with a spring or gas balancer at A2, which carries the
 # link arm (KUKA's KR QUANTEC and FORTEC, ABB's IRB 6600 and 7600, FANUC's R-2000 and M-900); a few of them have none (ABB's IRB 6620).
@@ -48,7 +50,7 @@ ODDS_OF_STATED = 20.0  # that an arm whose description says so has one
 RARE = 0.03  # share of the light arms, and of those of unknown mass: a few have a spring
 LEAST_OF_HEAVY = 3.0  # typical sizes: it carries 30 to 100 % of 5 kN m and more, and 1e-7 to 1e-6 rad/(N m) make at least 0.2 mrad of it
 THROUGH = "joint_compliance:A2"  # at standstill the torque shows by winding up A2
-WITHOUT_ROD = np.radians(300.0)  # travel of A2 that the rod of a balancer would be in the way of
+WITHOUT_ROD = 300.0 * DEGREE  # travel of A2 that the rod of a balancer would be in the way of
 THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the series of a spring converges as fast
 
 
@@ -80,9 +82,9 @@ def candidates(context: Context) -> list[Candidate]:
         slope = np.array([-c[2] / first, 0.0, 1.0]) / first
         std = np.sqrt(np.diag(v))
         return {
-            "A2.preload_deg": number(np.degrees(c[0]), np.degrees(std[0])),
-            "A2.stretched_deg": number(np.degrees(c[1]), np.degrees(std[1])),
-            "A2.zero_deg": number(np.degrees(upright + c[2] / first), np.degrees(np.sqrt(max(slope @ v @ slope, 0.0)))),
+            "A2.preload_deg": angle(c[0], std[0]),
+            "A2.stretched_deg": angle(c[1], std[1]),
+            "A2.zero_deg": angle(upright + c[2] / first, np.sqrt(max(slope @ v @ slope, 0.0))),
         }
 
     rows = StandstillRows(described, np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA]))
@@ -152,7 +154,7 @@ def _balancing_report(upright: float) -> Report:
         return {
             "A2.preload_Nm": number(c[0], std[0]),
             "A2.stretched_Nm": number(c[1], std[1]),
-            "A2.zero_deg": number(np.degrees(upright + c[2] / c[0]), np.degrees(shift_std)),
+            "A2.zero_deg": angle(upright + c[2] / c[0], shift_std),
         }
 
     return report
@@ -168,10 +170,10 @@ def as_wind_up(found: Parameters, every: Parameters) -> Parameters:
     if soft is None or len(soft.components[0]) != 1:  # several recordings may have one each
         return out
     (compliance,), (uncertainty,) = soft.components
-    for torque, angle in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
+    for torque, name in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
         if torque in found:
             (value,), (std,) = found[torque].components
-            out[angle] = number(-np.degrees(value * compliance), np.degrees(np.hypot(std * compliance, value * uncertainty)))
+            out[name] = angle(-value * compliance, np.hypot(std * compliance, value * uncertainty))
     return out
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, Support, number
+from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, Support, angle, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "hysteresis"
@@ -43,7 +43,7 @@ def report_of(i: int, largest: float) -> Report:
     def report(c, v, _):
         half, std = float(abs(c[0])), float(np.sqrt(v[0, 0]))
         return {
-            f"A{i + 1}.hysteresis_deg": number(np.degrees(2 * half * largest), np.degrees(2 * std * largest)),
+            f"A{i + 1}.hysteresis_deg": angle(2 * half * largest, 2 * std * largest),
             f"A{i + 1}.half_width_rad_per_Nm": number(half, std),
         }
 

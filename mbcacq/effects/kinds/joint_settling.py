@@ -7,7 +7,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, number
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, angle, number
 from mbcacq.effects.functions import Column, DescribedPart, of, times
 
 NAME = "joint_settling"
@@ -43,7 +43,7 @@ def of_joint(i: int, cause: str, function: str, hyper: Hyperparameter, sign: Col
         return [DescribedPart("joint", i, 0, (column if sign is None else times(column, sign),))]
 
     def report(c: np.ndarray, v: np.ndarray, at: HyperEstimate) -> Parameters:
-        sag = {f"A{i + 1}.sag_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0])))}
+        sag = {f"A{i + 1}.sag_deg": angle(c[0], np.sqrt(v[0, 0]))}
         return sag | {f"A{i + 1}.{hyper.name}": number(at.value, at.std)}
 
     return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([TYPICAL])), report, hyper, variant=variant)

@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import over_time
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import ANY_SIZE, Candidate, StandstillRows, Support, number
+from mbcacq.effects.effect import ANY_SIZE, Candidate, StandstillRows, Support, angle, number
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "joint_step"
@@ -24,7 +24,7 @@ def candidates(context: Context) -> list[Candidate]:
         def report(c, v, rank):
             return {
                 f"A{i + 1}.at_pose": number(over_time.pose_at(context, rank.value), 0.5),
-                f"A{i + 1}.step_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0]))),
+                f"A{i + 1}.step_deg": angle(c[0], np.sqrt(v[0, 0])),
             }
 
         support = ANY_SIZE if context.obs.cell.robot.drive(i) in SKIPPING else LARGEST

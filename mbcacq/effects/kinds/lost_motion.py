@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, Refinement
-from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, StandstillRows, Support, number
+from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, StandstillRows, Support, angle, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "lost_motion"
@@ -58,7 +58,7 @@ def of_joint(context: Context, i: int) -> Candidate:
     def report(c, v, at):
         h, std = float(c[0]), float(np.sqrt(v[0, 0]))
         return {
-            f"A{i + 1}.lost_motion_deg": number(np.degrees(2 * h), np.degrees(2 * std)),
+            f"A{i + 1}.lost_motion_deg": angle(2 * h, 2 * std),
             f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at.value, std / at.value),
             f"A{i + 1}.{TORQUE}": number(at.value, at.value * std / max(abs(h), 1e-30)),
         }

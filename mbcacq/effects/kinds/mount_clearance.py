@@ -8,8 +8,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, vector
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, angles, vector
 from mbcacq.effects.functions import DescribedPart, of
+from mbcacq.quantities import from_degrees, in_degrees
 
 NAME = "mount_clearance"
 DECLARED = Declaration(challenge=Challenge(number=23))
@@ -80,16 +81,16 @@ def _beside(line: tuple[int, int], step: int) -> list[tuple[int, int]]:
     unit = _unit(*line)
     across = np.cross(unit, np.eye(3)[int(np.argmin(np.abs(unit)))])
     across /= np.linalg.norm(across)
-    out = []
-    for turn in np.radians(np.arange(0, 360, 45)):
-        to = np.cos(np.radians(step)) * unit + np.sin(np.radians(step)) * (np.cos(turn) * across + np.sin(turn) * np.cross(unit, across))
+    out, lean = [], from_degrees(step)
+    for turn in from_degrees(np.arange(0, 360, 45)):
+        to = np.cos(lean) * unit + np.sin(lean) * (np.cos(turn) * across + np.sin(turn) * np.cross(unit, across))
         to = to if to[2] >= 0 else -to
-        out.append((int(np.degrees(np.arctan2(to[1], to[0])).round()) % 360, int(np.degrees(np.arcsin(min(to[2], 1.0))).round())))
+        out.append((int(in_degrees(np.arctan2(to[1], to[0])).round()) % 360, int(in_degrees(np.arcsin(min(to[2], 1.0))).round())))
     return out
 
 
 def _unit(azimuth: int, elevation: int) -> np.ndarray:
-    a, e = np.radians([float(azimuth), float(elevation)])
+    a, e = from_degrees([float(azimuth), float(elevation)])
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
@@ -100,7 +101,7 @@ def _along(context: Context, cause: str, components: range, values: np.ndarray, 
 
     def report(c: np.ndarray, v: np.ndarray, at: HyperEstimate) -> Parameters:
         out = {"shift_mm": vector(2 * c[:3], 4 * v[:3, :3])}
-        return out | {"turn_deg": vector(np.degrees(2 * c[3:]), np.degrees(np.degrees(4 * v[3:, 3:])))} if len(c) == 6 else out
+        return out | {"turn_deg": angles(2 * c[3:], 4 * v[3:, 3:])} if len(c) == 6 else out
 
     hyper, rarity = Hyperparameter("falls_at", values, 2.0, refine=False), 1.0 / INDEPENDENT
     return Candidate(NAME, ("mount",), cause, StandstillRows(described, typical), report, hyper, variant=cause, rarity=rarity)

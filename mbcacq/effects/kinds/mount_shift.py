@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import over_time
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, vector
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, angles, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "mount_shift"
@@ -30,7 +30,7 @@ def candidates(context: Context) -> list[Candidate]:
     def report(c, v, rank):
         out = {"at_pose": number(over_time.pose_at(context, rank.value), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
         if k == 6:
-            out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
+            out["rotation_deg"] = angles(c[3:], v[3:, 3:])
         return out
 
     return [Candidate(NAME, ("mount",), "pose", StandstillRows(described, np.array([0.03] * 3 + [1e-4] * 3)[:k]), report, hyper)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs.program import DEGREES, LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, kind, statement_parser
+from mbcacq.quantities import from_degrees
 
 STATEMENT = r"""
 start: [SIGNED] ":" _any*
@@ -96,7 +97,7 @@ def _position(
         return
     tokens = [value.children[0] for value in values if value is not None]
     spans = tuple((begin + t.start_pos, begin + t.end_pos) for t in tokens)
-    points.append(ProgrammedPoint(name, line, np.radians([float(t) for t in tokens]), spans, (DEGREES,) * n))
+    points.append(ProgrammedPoint(name, line, from_degrees([float(t) for t in tokens]), spans, (DEGREES,) * n))
 
 
 def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Uses]:

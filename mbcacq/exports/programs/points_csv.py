@@ -13,6 +13,7 @@ from mbcacq.files.csv_text import read_csv_text
 from mbcacq.files.table import Column, Table, TableSchema, as_table, joint_columns
 from mbcacq.files.table_schema import JOINT_NAMES, HeadingError, matched
 from mbcacq.geometry import se3
+from mbcacq.quantities import in_degrees
 from mbcacq.recording.datasets.csv_columns import refuse_radians
 
 MAX_BYTES = 64 << 20
@@ -37,7 +38,7 @@ class PointTable:
         """The table with columns of the corrected angles q (P, n) rad, empty where a point is not reached."""
         more = {
             f"corrected_q{i + 1}_deg": [_decimal(angle) if ok else "" for angle, ok in zip(column, reached, strict=True)]
-            for i, column in enumerate(np.degrees(q).T)
+            for i, column in enumerate(in_degrees(q).T)
         }
         more |= {
             "residual_mm": list(map(_decimal, errors_mm)),
@@ -61,7 +62,7 @@ def read_points(path: Path, n: int) -> PointTable:
     q = np.full((len(table), n), np.nan)
     if has_joints:
         q = table.numbers([column.name for column in joints])
-        refuse_radians(table, np.degrees(q), named=True)
+        refuse_radians(table, in_degrees(q), named=True)
     goals = None
     if has_pose:
         goals = np.array([se3.from_abc(row[:3], row[3:]) for row in table.numbers([column.name for column in POSE])])

@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mbcacq.quantities import DEGREE
+
 LINE_END = re.compile(r"\r\n|\r|\n")  # and no other: to Python's splitlines byte 0x85 ends a line too
 # What names say of coordinates that are no place: tolerances, steps, offsets, limits, speeds.
 NO_PLACE = re.compile(
@@ -123,7 +125,7 @@ class Variables(dict[str, Uses]):
             self[name].otherwise += uses.otherwise
 
 
-DEGREES = float(np.pi / 180)  # rad of one
+DEGREES = DEGREE  # rad of one
 
 
 class Statements:

@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import fanuc_ls, krl, rapid, urscript
 from mbcacq.exports.programs.program import RobotProgram
-from mbcacq.files.bounded_read import read_bounded
+from mbcacq.files.bounded_read import bytes_of
 
 MAX_BYTES = 16 << 20
 MOST_PROGRAMS = 200  # beside a public data list, that may use it
@@ -64,12 +64,7 @@ def _programs(path: Path, text: str) -> Iterator[str]:
 
 
 def _text(path: Path) -> tuple[str, Callable[[str], bytes]]:
-    try:
-        data = read_bounded(path, MAX_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a robot program or a CSV file") from error
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; split it")
+    data = bytes_of(path, MAX_BYTES, "give a robot program or a CSV file")
     mark, encoding = next(
         (
             (mark, encoding)

@@ -15,6 +15,7 @@ from mbcacq.files.units import number_with_unit
 from mbcacq.geometry import se3
 from mbcacq.model import yaml12
 from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.quantities import in_degrees
 
 MAX_BYTES = 1_000_000
 ANGLES, LENGTHS = ("theta", "alpha"), ("d", "a")
@@ -153,11 +154,11 @@ def _refuse_other_units(table: Table, reach: float) -> None:
     for name in ANGLES:
         by_heading = np.array([number_with_unit(cell) is None for cell in table.text(name)])
         plain, heading = table.number(name)[by_heading], f"{table.path}: '{table.heading(name)}'"
-        in_degrees = np.degrees(plain)
+        degrees = in_degrees(plain)
         unit = table.found[name].unit
-        steps = np.rint(in_degrees / (np.pi / 4))
-        radians = (steps != 0) & (np.abs(steps) <= 8) & (np.abs(in_degrees - steps * np.pi / 4) < 2e-3)
+        steps = np.rint(degrees / (np.pi / 4))
+        radians = (steps != 0) & (np.abs(steps) <= 8) & (np.abs(degrees - steps * np.pi / 4) < 2e-3)
         if unit == "deg" and radians.any():
-            raise ConfigError(f"{heading} has {in_degrees[radians][0]:g}, which looks like radians; name the column {name}_rad")
+            raise ConfigError(f"{heading} has {degrees[radians][0]:g}, which looks like radians; name the column {name}_rad")
         if unit == "rad" and np.abs(plain).max(initial=0.0) > 2 * np.pi + 1e-3:
             raise ConfigError(f"{heading} has {plain[np.abs(plain).argmax()]:g}, which looks like degrees; name the column {name}_deg")

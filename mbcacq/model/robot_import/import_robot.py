@@ -24,6 +24,7 @@ from mbcacq.model.robot_import.source import ArmSource
 from mbcacq.model.robot_import.ur_calibration import is_ur_calibration, read_ur_calibration
 from mbcacq.model.robot_import.urdf import read_urdf
 from mbcacq.model.yaml_source import name_of
+from mbcacq.quantities import from_degrees, in_degrees
 
 POSTURES = 200  # random ones at which both forward kinematics are compared
 FIRST_BYTES = 100_000  # of a file, within which its first element stands
@@ -75,7 +76,7 @@ def import_robot(
     remarks = [*source.remarks, *_frame_remarks(rows)]
     speed = source.speed
     if np.isnan(speed).any() and speed_deg_s is not None:
-        speed = np.where(np.isnan(speed), np.radians(speed_deg_s), speed)
+        speed = np.where(np.isnan(speed), from_degrees(speed_deg_s), speed)
         remarks = [r for r in remarks if "--speed" not in r]
     if (silent := np.isnan(speed) | (speed <= 0)).any() and not any("speed" in r for r in remarks):
         remarks.append(
@@ -135,7 +136,7 @@ def _read(
 def _refuse_endless(path: Path, source: ArmSource) -> None:
     """Raises ConfigError for an arm with a length, mass or joint limit that no arm has, or one that is no number. A limit that is not
     stated is NaN."""
-    for number, limits in enumerate(np.degrees(source.limits)):
+    for number, limits in enumerate(in_degrees(source.limits)):
         if (np.abs(limits) > BOUNDS["joint_angle"].high).any():
             said = f"joint '{source.joints[number] or number + 1}' has the limits {limits[0]:g} to {limits[1]:g}°"
             raise ConfigError(f"{path}: {said}; give both as angles, or none where the joint turns without end")
@@ -165,7 +166,7 @@ def _frame_remarks(rows: ChainInFrames) -> list[str]:
         (rows.T_flange_given, "the rows' flange lies on the last axis and differs from the file's: X Y Z A B C of that in it {} (mm, °)"),
     ):
         xyz, abc = se3.to_abc(T)
-        said = [_short(v, 4) for v in (*xyz, *np.degrees(abc))]
+        said = [_short(v, 4) for v in (*xyz, *in_degrees(abc))]
         if any(v != "0" for v in said):
             out.append(sentence.format(" ".join(said)))
     return out
@@ -187,14 +188,14 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
         lines.append(f"base_to_gravity: [{', '.join(_short(v) for v in down)}]")
     lines.append("links:")
     for i in range(chain.n):
-        row = {"theta_deg": np.degrees(chain.theta[i]), "d_mm": chain.d[i], "a_mm": chain.a[i], "alpha_deg": np.degrees(chain.alpha[i])}
+        row = {"theta_deg": in_degrees(chain.theta[i]), "d_mm": chain.d[i], "a_mm": chain.a[i], "alpha_deg": in_degrees(chain.alpha[i])}
         if abs(chain.beta[i]) > 1e-11:
-            row["beta_deg"] = np.degrees(chain.beta[i])
+            row["beta_deg"] = in_degrees(chain.beta[i])
         content = [f"{key}: {_short(value)}" for key, value in row.items()]
         if not np.isnan(source.limits[i]).any():
-            content.append(f"limits_deg: [{', '.join(_short(v, 6) for v in np.degrees(source.limits[i]))}]")
+            content.append(f"limits_deg: [{', '.join(_short(v, 6) for v in in_degrees(source.limits[i]))}]")
         if np.isfinite(speed[i]) and speed[i] > 0:
-            content.append(f"speed_deg_s: {_short(np.degrees(speed[i]), 6)}")
+            content.append(f"speed_deg_s: {_short(in_degrees(speed[i]), 6)}")
         line = "  - {" + ", ".join(content)
         if source.mass[i] > 0:
             lines.append(line + ",")

@@ -12,6 +12,7 @@ from mbcacq.plan.controller_joints import to_controller
 from mbcacq.plan.motion_limits import axis_limits, motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.timing import motion_time
+from mbcacq.quantities import from_degrees
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class MoveTo:
     @property
     def radians(self) -> list[float]:
         """(n,) rad."""
-        return np.radians(self.angles).tolist()
+        return from_degrees(self.angles).tolist()
 
     @property
     def written(self) -> list[str]:
@@ -123,7 +124,7 @@ def motion_program(
     their order. Raises ConfigError where the arm has no speeds, or ``controller_joints`` do not fit it."""
     limits, allowed = motion_limits(loaded), axis_limits(loaded)
     steps: list[MoveTo | ExposeAt | PlaceArtefact] = []
-    last = home = np.radians(loaded.plan.robot.home_deg)
+    last = home = loaded.plan.robot.home
     station, cloud = None, 0
 
     def go(q: np.ndarray, note: str) -> None:

@@ -20,6 +20,7 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import Strict
 from mbcacq.model.yaml_source import LARGE, parse
+from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.open_format import validate
 
@@ -249,7 +250,7 @@ def observation_columns(folder: Path, spec: BagSpec, cell: Cell) -> dict[str, An
 def standstills(states: JointStates, spec: StandstillSpec) -> list[slice]:
     """The stretches of samples over which no joint moves."""
     speed = np.abs(np.gradient(states.position, states.time_s, axis=0)).max(axis=1)
-    still = np.r_[0, (speed < np.radians(spec.speed_deg_s)).astype(int), 0]
+    still = np.r_[0, (speed < from_degrees(spec.speed_deg_s)).astype(int), 0]
     edges = np.flatnonzero(np.diff(still))
     stretches = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [s for s in stretches if states.time_s[s.stop - 1] - states.time_s[s.start] >= spec.seconds]

@@ -40,6 +40,11 @@ def robot_to_yaml(form: str, robot: RobotModel, simulated: bool = False) -> str:
     return _dump({"format": form} | _simulated(simulated) | {"robot": _robot(robot)})
 
 
+def artefact_to_yaml(artefact: Artefact) -> str:
+    """An artefact file, as the plans and the ``artefacts`` of a cell have it."""
+    return _dump(_artefact(artefact))
+
+
 def _simulated(simulated: bool) -> dict[str, Any]:
     """The key of simulated data; measured data carry none."""
     return {"simulated": True} if simulated else {}

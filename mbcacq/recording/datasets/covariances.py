@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
+from mbcacq.quantities import DEGREE
 from mbcacq.recording.datasets.csv_columns import numbers
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -29,7 +30,7 @@ def read(table: Table, size: int) -> np.ndarray | None:
     ros = [f"cov_{k}" for k in range(36)]
     if any(name in table.columns for name in sigmas):
         table.require(sigmas)
-        sigma = table.group(sigmas) * np.where(np.arange(size) < 3, 1.0, np.pi / 180)
+        sigma = table.group(sigmas) * np.where(np.arange(size) < 3, 1.0, DEGREE)
         C = sigma[:, :, None] ** 2 * np.eye(size)
     elif table.has(ros):
         unit = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])

@@ -15,6 +15,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, TableSchema, read_table
+from mbcacq.quantities import DEGREE
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, unit_above
 from mbcacq.recording.datasets.csv_columns import TIME, numbers
 from mbcacq.recording.datasets.pose_columns import LENGTHS, RTDE_POSE, PoseHeadings, heading, role
@@ -28,7 +29,7 @@ LEAST_CORRELATION = 0.6  # of the speeds; two unrelated motions reach 0.3
 OTHER_PEAK = 0.9  # of the best correlation: from there on another delay is as likely
 DISTINCT_S = 1.0  # delays closer than this are one peak
 CREEP = 3.0  # times that range over a whole standstill: the arm moves slowly
-STILL = {"joints": float(np.radians(0.02)), "flange": 0.1}  # rad, mm: range within which an arm stands still; encoders are noisier than 0
+STILL = {"joints": 0.02 * DEGREE, "flange": 0.1}  # rad, mm: range within which an arm stands still; encoders are noisier than 0
 
 
 @dataclass(frozen=True)

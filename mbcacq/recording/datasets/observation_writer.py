@@ -12,6 +12,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files import angles
 from mbcacq.files.atomic_write import Content, write_files
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
 from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbered, numbers, table_text
@@ -60,7 +61,7 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
         columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
     if obs.flange_velocity is not None and obs.sensor_time_s is not None:
         columns["sensor_time_s"] = numbers(obs.sensor_time_s)
-        of_flange = np.concatenate([obs.flange_velocity[:, :3].T, np.degrees(obs.flange_velocity[:, 3:]).T])
+        of_flange = np.concatenate([obs.flange_velocity[:, :3].T, in_degrees(obs.flange_velocity[:, 3:]).T])
         columns |= dict(zip(FLANGE_VELOCITY, map(numbers, of_flange), strict=True))
     for pattern, values, text in (
         ("dir{}", obs.direction, numbers),

@@ -19,9 +19,10 @@ from mbcacq.files.table import Table
 from mbcacq.files.table_schema import KEPT_HEADING
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
+from mbcacq.quantities import DEGREE
 
 LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4}
-ANGLES = {"deg": np.pi / 180, "°": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180, "rad": 1.0, "radian": 1.0, "radians": 1.0}
+ANGLES = {"deg": DEGREE, "°": DEGREE, "degree": DEGREE, "degrees": DEGREE, "rad": 1.0, "radian": 1.0, "radians": 1.0}
 FLANGE_WORDS = ("flange", "robot", "tcp", "tool", "tool0", "ee", "eef", "gripper", "hand", "arm", "effector", "base2gripper", "end", "bt")
 TARGET_WORDS = (
     "target", "board", "marker", "tag", "apriltag", "charuco", "checkerboard", "chessboard", "object", "cal", "calib", "pattern",
@@ -132,7 +133,7 @@ class PoseHeadings:
             length = _length_by_size(table, self.translation)
         if angle is None:
             largest = np.abs(table.group(self.rotation)).max(initial=0.0) if self._turns else 0.0
-            angle = 1.0 if largest < RADIANS_BELOW else np.pi / 180
+            angle = 1.0 if largest < RADIANS_BELOW else DEGREE
         return replace(self, length=length, angle=angle)
 
     @property
@@ -146,7 +147,7 @@ class PoseHeadings:
         if not self.rotation:
             return se3.transform(np.eye(3), xyz)
         # Decimals of degrees come back bit for bit.
-        exact = self._turns and known.angle == np.pi / 180
+        exact = self._turns and known.angle == DEGREE
         values = table.group(known.rotation, angle=True) if exact else table.group(known.rotation) * (known.angle if self._turns else 1.0)
         try:
             T = se3.transform(orientations.to_matrices(values, self.convention), xyz)

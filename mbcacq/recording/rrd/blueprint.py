@@ -81,7 +81,7 @@ def collapsed(timeline: str, **time: Any) -> tuple[rrb.TimePanel, rrb.SelectionP
 def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Container:
     arrows = "" if enlarged.pose is None else f"; pink arrows: error after calibration, {enlarged.pose:g} times enlarged"
     contents = [f"+ /{layout.WORLD}/**", f"+ /{layout.URDF}/**", f"- /{layout.SCAN}", f"- /{layout.CALIBRATED}/**"]
-    cell = _space(f"Cell in mm, current station bright{arrows}", contents, viewpoint, hidden=(layout.PATH,))
+    cell = space(f"Cell in mm, current station bright{arrows}", contents, viewpoint, hidden=(layout.PATH,))
     states = rrb.StateTimelineView(name="State", contents=[f"/{layout.STATE}", f"/{layout.STEP}", f"/{layout.STATION}"])
     texts = rrb.Tabs(
         *((rrb.TextDocumentView(name="Verdict", origin=layout.VERDICT),) if enlarged.pose is not None else ()),
@@ -159,7 +159,7 @@ def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
 def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     shown = "before (orange) and after (blue)" if enlarged.compared else "after calibration"
     title = "The cell" if enlarged.all is None else f"Errors {shown}, {enlarged.all:g} times enlarged"
-    errors = _space(
+    errors = space(
         title, [f"+ /{layout.ALL_ARROWS}/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**", f"+ /{layout.CALIBRATED}/**"], viewpoint
     )
     result = rrb.TextDocumentView(name="Result", origin=layout.SUMMARY)
@@ -195,7 +195,7 @@ def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         if enlarged.diagnosis is None
         else (f"Recorded centres (white), differences to the model before (orange) and after (blue), {enlarged.diagnosis:g} times enlarged")
     )
-    cell = _space(title, [f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], viewpoint)
+    cell = space(title, [f"+ /{layout.DIAGNOSIS}/cell/**", f"+ /{layout.URDF}/**", f"+ /{layout.ROBOT}/**"], viewpoint)
     text = rrb.TextDocumentView(name="Diagnosis", origin=layout.DIAGNOSIS_TEXT)
     if enlarged.diagnosis is None:
         return rrb.Horizontal(cell, text, column_shares=[2, 1], name="Diagnosis")
@@ -211,7 +211,7 @@ def _chart(name: str, entity: str, height: float = SHEET_HEIGHT) -> rrb.Spatial2
     return rrb.Spatial2DView(name=drawable(name), origin=f"/{entity}", background=rrb.Background(color=NIGHT), visual_bounds=bounds)
 
 
-def _space(name: str, contents: list[str], viewpoint: ViewerCamera, hidden: tuple[str, ...] = ()) -> rrb.Spatial3DView:
+def space(name: str, contents: list[str], viewpoint: ViewerCamera, hidden: tuple[str, ...] = ()) -> rrb.Spatial3DView:
     """hidden: entities that are there but not shown until they are switched on."""
     return rrb.Spatial3DView(
         name=name,

@@ -7,6 +7,7 @@ import rerun as rr
 
 from mbcacq.devices import Cycles
 from mbcacq.model.cell import Cell
+from mbcacq.quantities import in_degrees
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.packed_cycles import packed
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -109,10 +110,10 @@ def _extremes(values: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _curves(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    curves = {layout.JOINTS: np.degrees(columns["q"])}
+    curves = {layout.JOINTS: in_degrees(columns["q"])}
     asked = columns.get("q_command", columns.get("q_set"))  # a controller's own set point may lack the corrections it was sent
     if asked is not None:
-        curves[layout.SET] = np.degrees(asked)
+        curves[layout.SET] = in_degrees(asked)
         curves[layout.FOLLOWING] = curves[layout.SET] - curves[layout.JOINTS]
     if "current_percent" in columns:
         curves[layout.CURRENT] = np.asarray(columns["current_percent"], dtype=float)

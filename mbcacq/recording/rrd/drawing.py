@@ -11,6 +11,7 @@ from mbcacq.acquisition import events
 from mbcacq.devices import Scan
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
+from mbcacq.quantities import in_degrees
 from mbcacq.recording.rrd import layout, scan_colouring, scene
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.drawn_later import DrawnLater
@@ -61,7 +62,7 @@ class Drawing:
 
     def reached(self, event: events.PoseReached) -> None:
         self._form = []
-        self._rec.log(layout.JOINTS, rr.Scalars(np.degrees(event.q)))
+        self._rec.log(layout.JOINTS, rr.Scalars(in_degrees(event.q)))
         if self._cell is not None:
             station = next((s for s in self._cell.stations if s.id == event.station), None)
             self.artefact = None if station is None else self._cell.artefact(station.artefact)

@@ -13,7 +13,6 @@ from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 
 FRAMES_A_MOTION = 16
-OBSTACLE = (120, 96, 80, 90)
 
 
 def write_plan_recording(
@@ -29,20 +28,14 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd import layout, scene
-    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, collapsed, place_camera
+    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
     from mbcacq.recording.rrd.drawable import drawable
     from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 
     cell = loaded.cell
     rec = new_stream("mbcacq_plan")
     viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
-    view = rrb.Spatial3DView(
-        name="Plan: the arm on its path, the artefacts at their stations, in mm",
-        origin=layout.WORLD,
-        background=rrb.Background(color=NIGHT),
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
-    )
+    view = space("Plan: the arm on its path, the artefacts at their stations, in mm", [f"+ /{layout.WORLD}/**"], viewpoint)
     with into_file(rec, partial):
         log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
         send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *collapsed(layout.TIME)))
@@ -52,19 +45,8 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
             artefact = cell.artefact(station.artefact)
             centres = se3.apply(_planned_pose(station), artefact.centres)
             scene.log_balls(rec, station.id, artefact, dict(zip(artefact.ball_ids, centres, strict=True)))
-        low, high = (np.array([getattr(o, k) for o in loaded.plan.obstacles], dtype=float).reshape(-1, 3) for k in ("min_mm", "max_mm"))
-        rec.log(
-            f"{layout.WORLD}/obstacles",
-            rr.Boxes3D(
-                centers=(low + high) / 2,
-                half_sizes=(high - low) / 2,
-                colors=[OBSTACLE],
-                labels=[drawable(o.name) for o in loaded.plan.obstacles],
-                show_labels=False,
-            ),
-            static=True,
-        )
-        last = np.radians(loaded.plan.robot.home_deg)
+        scene.log_obstacles(rec, loaded.text)
+        last = loaded.plan.robot.home
         for pose, transit, start, end in zip(poses, transits, starts, [*starts[1:], starts[-1] + 5.0], strict=True):
             stops = np.array([last, *transit, pose.q])
             # The arm moves in the first half of a pose's time, and stands in the second.

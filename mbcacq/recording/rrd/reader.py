@@ -197,9 +197,7 @@ def read_observations(path: Path | str) -> Observations:
         return measured
     from mbcacq.recording.rrd.sweeps import sweep_observations
 
-    every = [recording.cycles(("time_s", "q")).columns for recording in recordings]
-    joined = {name: np.concatenate([c[name] for c in every if name in c]) for name in ("time_s", "q")}
-    return sweep_observations(measured, sweeps, Cycles(joined), str(path))
+    return sweep_observations(measured, sweeps, [recording.cycles(("time_s", "q")) for recording in recordings], str(path))
 
 
 def intact(row: Row) -> bool:

@@ -14,6 +14,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.link_shapes import link_corners, link_radii
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact, Cell
+from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
@@ -266,7 +267,7 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
 def home(plan_yaml: str, n: int) -> np.ndarray:
     """(n,) rad, the plan's home: how the arm is drawn until it reports itself."""
     try:
-        q = np.radians(np.array(yaml12.load(plan_yaml)["robot"]["home_deg"], dtype=float))
+        q = from_degrees(np.array(yaml12.load(plan_yaml)["robot"]["home_deg"], dtype=float))
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return np.zeros(n)
     return q if q.shape == (n,) else np.zeros(n)

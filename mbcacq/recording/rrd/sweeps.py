@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.profile_clock import ProfilesInMotion, SeenSections, SensorClock, adjust_in_motion, passes_of
+from mbcacq.calibration.profile_clock import PART_S, ProfilesInMotion, SeenSections, SensorClock, adjust_in_motion, passes_of
 from mbcacq.devices import Cycles
 from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
@@ -19,6 +19,7 @@ from mbcacq.spheres.circles import Circle, circles_in
 
 Row = dict[str, Any]
 MARGIN_MM = 12.0  # around a ball, by which hand-eye transform and station may be off before they are calibrated
+SAME_CLOCK_S = 0.5  # by which the start of the sensor may lag behind the order
 LEAST = 5  # profiles of a sweep that show its ball
 
 
@@ -31,26 +32,31 @@ class SweptBalls:
     ball: np.ndarray
 
 
-def sweep_observations(measured: Observations, sweeps: Sequence[Row], cycles: Cycles, source: str) -> Observations:
-    """The observations with a pose for each profile that shows a ball, instead of the pose at which its sweep began.
+def sweep_observations(measured: Observations, sweeps: Sequence[Row], cycles: Sequence[Cycles], source: str) -> Observations:
+    """The observations with a pose for each way over a ball, instead of the pose at which its sweep began.
 
-    measured: poses as they were recorded, those of sweeps without centres. Raises RecordingError where no sweep shows its ball, or no
-    cycles were recorded with them.
+    measured: poses as they were recorded, those of sweeps without centres. cycles: of each part of the recording. Raises RecordingError
+    where no sweep shows its ball, no cycles were recorded with them, or a clock began anew between two parts.
     """
     cell = measured.cell
-    if not len(cycles):
-        raise RecordingError(f"{source}: its sweeps have no cycles of the arm, so nobody can tell where it was; record them again")
     pose = {int(number): i for i, number in enumerate(measured.pose_id)}
     sweeps = [row for row in sweeps if int(row["pose"][0]) in pose]
     swept = balls_of_sweeps(cell, sweeps, source)
-    time, first = np.unique(cycles.columns["time_s"], return_index=True)
-    motion = FlangeMotion(cell.robot.chain, time, cycles.columns["q"][first])
+    motion = _motion(cell, cycles, source)
     at = np.array([pose[int(row["pose"][0])] for row in sweeps])[swept.sweep]
     station = measured.station[at]
     _, sphere = np.unique(station * len(cell.ball_ids) + swept.ball, return_inverse=True)
-    seen = replace(swept.seen, sphere=sphere)
+    part = np.array([int(row["part"][0]) for row in sweeps])
+    seen = replace(swept.seen, sphere=sphere, time_s=swept.seen.time_s + PART_S * part[swept.sweep])
     began = np.array([float(row["began_s"][0]) - float(row["time_s"][0]) for row in sweeps])
-    found = adjust_in_motion(motion, seen, _start(cell, motion, seen, float(np.median(began))))
+    apart = np.array([np.median(began[part == p]) for p in np.unique(part)])
+    if np.ptp(apart) > SAME_CLOCK_S:
+        raise RecordingError(
+            f"{source}: the clock of the controller or of the scanner began anew between two parts of the run, by {np.ptp(apart):.1f} s; "
+            "calibrate each part by its own recording (run.rrd, run.part2.rrd ..)"
+        )
+    clock = SensorClock(float(swept.seen.time_s.mean()), float(np.median(began)), 0.0, np.zeros((2, 2)))
+    found = adjust_in_motion(motion, seen, _start(cell, motion, seen, clock))
     return _assembled(measured, found, motion, seen, swept, at)
 
 
@@ -82,10 +88,20 @@ def balls_of_sweeps(cell: Cell, sweeps: Sequence[Row], source: str) -> SweptBall
     return SweptBalls(seen, which, np.concatenate(of_ball))
 
 
-def _start(cell: Cell, motion: FlangeMotion, seen: SeenSections, delay: float) -> ProfilesInMotion:
+def _motion(cell: Cell, cycles: Sequence[Cycles], source: str) -> FlangeMotion:
+    """The arm of all parts, which are set apart: their times may overlap."""
+    parts = [np.unique(c.columns["time_s"], return_index=True) if len(c) else (np.zeros(0), np.zeros(0, int)) for c in cycles]
+    if not any(len(time) for time, _ in parts):
+        raise RecordingError(f"{source}: its sweeps have no cycles of the arm, so nobody can tell where it was; record them again")
+    time = np.concatenate([PART_S * p + time for p, (time, _) in enumerate(parts)])
+    q = np.concatenate([c.columns["q"][first] for c, (_, first) in zip(cycles, parts, strict=True) if len(c)])
+    return FlangeMotion(cell.robot.chain, time, q)
+
+
+def _start(cell: Cell, motion: FlangeMotion, seen: SeenSections, clock: SensorClock) -> ProfilesInMotion:
     """Start values: the given hand-eye transform, and each sphere where its largest circles are, which are near its middle."""
     X, count = cell.T_flange_scanner, int(seen.sphere.max()) + 1
-    T = motion.at(seen.time_s + delay)[0] @ X
+    T = motion.at(clock.controller_time(seen.time_s))[0] @ X
     size = np.array([c.radius for c in seen.circles])
     middle = np.array([[c.centre[0], 0.0, c.centre[1]] for c in seen.circles])
     place, spheres = se3.apply(T, middle), np.zeros((count, 3))
@@ -96,7 +112,7 @@ def _start(cell: Cell, motion: FlangeMotion, seen: SeenSections, delay: float) -
     return ProfilesInMotion(
         T_hand_eye=X,
         spheres=spheres,
-        clock=SensorClock(float(seen.time_s.mean()), delay, 0.0, np.zeros((2, 2))),
+        clock=clock,
         covariance=np.eye(8 + 3 * count),
         pose_sigma_mm=0.0,
         used=np.ones(len(size), dtype=bool),
@@ -112,7 +128,7 @@ def _assembled(
     """A pose for each way of a sweep: what the arm is off by is the same all along it, and differs from the way back."""
     ways = passes_of(motion, seen, found, 2 * swept.sweep + (found.passing[:, 1] > 0))
     t, of = found.clock.controller_time(ways.time_s), at_pose[ways.profile]
-    count, T = len(t), found.T_hand_eye
+    count, T, part = len(t), found.T_hand_eye, np.rint(ways.time_s / PART_S)
     velocity = motion.at(t)[1]
     return Observations(
         cell=replace(measured.cell, T_flange_scanner=T),
@@ -124,8 +140,8 @@ def _assembled(
         pose=np.arange(count),
         ball=swept.ball[ways.profile],
         xyz=ways.xyz,
-        time_s=t,
-        sensor_time_s=ways.time_s,
+        time_s=t - part * PART_S,
+        sensor_time_s=ways.time_s - part * PART_S,
         flange_velocity=velocity,
         covariance=ways.covariance,
         temperatures={name: values[of] for name, values in measured.temperatures.items()},

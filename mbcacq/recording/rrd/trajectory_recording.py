@@ -9,6 +9,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
 from mbcacq.recording.rrd import layout
@@ -53,7 +54,7 @@ def _command(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
 
 def _joint_side(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     values = columns.get(JOINT_SIDE)
-    return None if values is None else np.radians(values)
+    return None if values is None else from_degrees(values)
 
 
 def export_trajectory(path: Path | str, folder: Path | str) -> int:

@@ -56,8 +56,14 @@ def recover(path: Path | str) -> list[Recovered]:
 
 def make_readable(path: Path) -> list[Recovered]:
     """``recover`` for one who holds the lock of the run folder."""
-    with opened_once():
-        return _made_readable(path)
+    try:
+        with opened_once():
+            return _made_readable(path)
+    except RecordingError:
+        raise
+    except OSError as error:
+        where = error.filename or path
+        raise RecordingError(f"{where} cannot be written: {error.strerror}; give another folder or free the disk") from error
 
 
 def _made_readable(path: Path) -> list[Recovered]:
@@ -108,10 +114,6 @@ def _merge_what_is_whole(source: Path, output: Path) -> None:
                     for block in blocks(original, stretch.end - stretch.start):
                         copy.write(block)
             _merge([cut], output)
-        except RecordingError:
-            raise
-        except OSError as error:
-            raise RecordingError(f"{output} cannot be written: {error.strerror}; give another folder or free the disk") from error
         finally:
             cut.unlink(missing_ok=True)
 
@@ -131,10 +133,6 @@ def _merge(sources: list[Path], output: Path) -> None:
             raise NothingRecovered(f"{_nothing(sources)}: no complete message is left in it")
         note_made(partial, output)
         publish(partial, output)
-    except RecordingError:
-        raise
-    except OSError as error:
-        raise RecordingError(f"{output} cannot be written: {error.strerror}; give another folder or free the disk") from error
     finally:
         partial.unlink(missing_ok=True)
 

@@ -7,7 +7,7 @@ import textwrap
 from mbcacq.figure import Figure
 from mbcacq.quantities import measured, symbol
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
-from mbcacq.report.content import ChangeRow
+from mbcacq.report.several import ChangeRow
 
 LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
 ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of its name, and of axis and margins

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.figure import Figure
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
-from mbcacq.report.content import ArmTypeContent, FleetChart
+from mbcacq.report.several import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
 MOST_NAMES, NAME_APART = 12, 0.05  # of arms at their lines; their distance as a share of the axis

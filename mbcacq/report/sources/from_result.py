@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
 from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
@@ -18,7 +19,7 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, capitalised, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
+from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, PartContent, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.images import camera_rows, image_rows
@@ -252,6 +253,10 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if (expected := expected_accuracy(result)) is not None:
         value, misfit = expected
         out.append(("expected accuracy of a point, U (k = 2)", f"{value} {misfit}".rstrip()))
+    if clock := result.get("clock"):
+        out.append(
+            ("clock of the scanner", clock_sentence(clock["delay_s"], clock["delay_sigma_s"], clock["drift"]).removeprefix("Clock: "))
+        )
     return out
 
 
@@ -290,7 +295,7 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
 def _shown_unit(unit: str) -> tuple[str, float]:
     """Symbol of the unit in which a parameter of this one is shown, and how many of that it is."""
     if unit == "rad":
-        return "°", 180 / np.pi
+        return "°", in_degrees(1.0)
     _, shown, factor = split_unit(f"_{unit.replace('/', '_per_')}")
     return (shown, factor) if shown else (symbol(unit), 1.0)
 

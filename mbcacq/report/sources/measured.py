@@ -15,6 +15,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.link_shapes import arm_outline, link_radii
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import in_degrees
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
@@ -53,7 +54,7 @@ def residuals(
         weighted=weighted,
         outlier=out,
         station=station,
-        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q)[obs.pose],
+        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q)[obs.pose],
     )
 
 
@@ -69,8 +70,8 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=None if obs.cell.robot.of_flange_poses else np.degrees(obs.q),
-        limits_deg=np.degrees(obs.cell.robot.limits),
+        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q),
+        limits_deg=in_degrees(obs.cell.robot.limits),
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,
