@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+from mbcacq_fakes.protocols.listener import Listener
 from mbcacq_fakes.protocols.started import Started
 
 POLL_S = 0.05
@@ -63,21 +64,20 @@ class SerialLine(Started):
         self.corrupt: Callable[[bytes], bytes | None] = lambda data: data
         self._quit = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._listener: socket.socket | None = None
+        self._listener: Listener | None = None
         self._link, self._master, self._slave = link, -1, -1
         if pty:
             self._open_terminal()
         else:
-            self._listener = socket.create_server((host, port))
-            self.address: tuple[str, int] = self._listener.getsockname()[:2]
+            self._listener = Listener(host, port, lambda client: self._begin(lambda: self._serve(client)))
+            self.address: tuple[str, int] = host, self._listener.port
             self.url = f"socket://{self.address[0]}:{self.address[1]}"
 
     def start(self) -> Self:
-        listener, master = self._listener, self._master
-        if listener is not None:
-            self._begin(lambda: self._accept(listener))
+        if self._listener is not None:
+            self._listener.start()
         else:
-            self._begin(lambda: self._talk(_Terminal(master)))
+            self._begin(lambda: self._talk(_Terminal(self._master)))
         return self
 
     def stop(self) -> None:
@@ -110,17 +110,6 @@ class SerialLine(Started):
         thread = threading.Thread(target=work, name="fake-serial", daemon=True)
         self._threads.append(thread)
         thread.start()
-
-    def _accept(self, listener: socket.socket) -> None:
-        listener.settimeout(POLL_S)
-        while not self._quit.is_set():
-            try:
-                client, _ = listener.accept()
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            self._begin(lambda client=client: self._serve(client))
 
     def _serve(self, client: socket.socket) -> None:
         with client:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.one_client_server import OneClientServer
+from mbcacq_fakes.protocols.tcp_server import TcpServer
 from mbcacq_fakes.world.frame import ScannerFrame
 
 WATCH_S = 0.002
@@ -28,23 +30,28 @@ FAULTS = {
 }
 
 
-class FakeScannerProgram(OneClientServer):
+class FakeScannerProgram(TcpServer):
     """Context manager. source: a frame for an exposure; folder: where its clouds go. rises: how often the output of a robot that triggers
     it was switched on so far, or None."""
 
     def __init__(self, source: Callable[[float], ScannerFrame], folder: Path, rises: Callable[[], int] | None = None) -> None:
-        super().__init__("fake-scanner-program")
+        super().__init__()
         self._source, self._folder, self._rises = source, folder, rises
         self.faults = Faults(FAULTS)
         self.saved = 0
 
-    def _run(self) -> None:
+    def start(self) -> Self:
         """A wire from the robot may stand in place of the network."""
         if self._rises is None:
-            return super()._run()
-        seen = self._rises()
+            return super().start()
+        self._wire = threading.Thread(target=self._watch, args=(self._rises,), name="fake-scanner-program", daemon=True)
+        self._wire.start()
+        return self
+
+    def _watch(self, rises: Callable[[], int]) -> None:
+        seen = rises()
         while not self._quit.wait(WATCH_S):
-            if (now := self._rises()) != seen:
+            if (now := rises()) != seen:
                 seen = now
                 self._save()
 

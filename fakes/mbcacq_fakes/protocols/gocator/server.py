@@ -10,10 +10,10 @@ from mbcacq_fakes.protocols.gocator.channel import converse
 from mbcacq_fakes.protocols.gocator.discovery import Discovery
 from mbcacq_fakes.protocols.gocator.exposures import Source, expose_on_request
 from mbcacq_fakes.protocols.gocator.health import health_messages, publish_health
-from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
 from mbcacq_fakes.protocols.gocator.profiles import LineSource, ProfileSender
 from mbcacq_fakes.protocols.gocator.state import SensorState
+from mbcacq_fakes.protocols.listener import Listener
 from mbcacq_fakes.protocols.started import Started
 
 _JOIN_S = 5.0

@@ -9,11 +9,11 @@ import time
 from collections.abc import Callable
 
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.gocator.connections import ControlConnections
 from mbcacq_fakes.protocols.gocator.faults import FAULTS
 from mbcacq_fakes.protocols.gocator.files import Files
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.publish import Publisher
+from mbcacq_fakes.protocols.tcp_server import ClientThreads
 
 TICKS_PER_S = 1.024e6
 _MAX_REQUESTS = 16
@@ -50,7 +50,7 @@ class SensorState:
         self.running, self.operations, self.exposures = False, 0, 0
         self.catch_up: Callable[[], None] = lambda: None  # what a stop waits for: profiles of the time before it
         self.requests: queue.Queue[int] = queue.Queue(_MAX_REQUESTS)
-        self.data, self.health, self.control = Publisher(), Publisher(), ControlConnections()
+        self.data, self.health, self.control = Publisher(), Publisher(), ClientThreads()
         self.lock, self.closing = threading.Lock(), threading.Event()
         self._born = time.monotonic()
 

@@ -14,15 +14,15 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.gocator.connections import ControlConnections
-from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
 from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
+from mbcacq_fakes.protocols.listener import Listener
 from mbcacq_fakes.protocols.started import Started
+from mbcacq_fakes.protocols.tcp_server import ClientThreads
 from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]
@@ -75,7 +75,7 @@ class FakeGoPxL(Started):
         self._asked: queue.Queue[None] = queue.Queue(_WAITING)
         self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
         self._closing = threading.Event()
-        self._controls = ControlConnections()
+        self._controls = ClientThreads()
         self._listeners: list[Listener] = []
         self._discovery: GoPxLDiscovery | None = None
         self._thread: threading.Thread | None = None

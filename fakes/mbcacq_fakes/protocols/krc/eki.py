@@ -12,7 +12,7 @@ import socket
 import time
 from collections.abc import Callable
 
-from mbcacq_fakes.protocols.one_client_server import OneClientServer
+from mbcacq_fakes.protocols.tcp_server import TcpServer
 
 CONNECT, START, RESET, CANCEL, CHANGE, NONE, DRIVES_ON, DRIVES_OFF, CYCLE = range(9)
 INITIALIZED, INACTIVE, ACTIVE = "INITIALIZED", "INACTIVE", "ACTIVE"
@@ -29,7 +29,7 @@ _ATTRIBUTE = re.compile(rb'(\w+)\s*=\s*"(-?\d{1,9})"')
 _MAX_BUFFER = 65536
 
 
-class FakeEki(OneClientServer):
+class FakeEki(TcpServer):
     """``on_start(control_mode, cycle_time)`` and ``on_cancel()`` are called when the client starts or ends the RSI program.
 
     ``answer``: how telegrams leave: 'plain', 'merged' (status and event in one segment), 'split' (byte by byte), 'junk' (padded as
@@ -47,7 +47,7 @@ class FakeEki(OneClientServer):
         on_start: Callable[[int, int], None] | None = None,
         on_cancel: Callable[[], None] | None = None,
     ) -> None:
-        super().__init__("fake-eki", host, port)
+        super().__init__(host, port)
         self._model, self._answer, self._pause_s = model, answer, pause_s
         self._on_start, self._on_cancel = on_start, on_cancel
         self.emergency_stop = False

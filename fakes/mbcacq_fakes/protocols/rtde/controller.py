@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.idle import idle_s
-from mbcacq_fakes.protocols.one_client_server import OneClientServer
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
 from mbcacq_fakes.protocols.stall import HANGING_S, STALL_S
+from mbcacq_fakes.protocols.tcp_server import TcpServer
 
 PROGRAM = 20261
 WATCHDOG_S = 0.4
@@ -46,7 +46,7 @@ FAULTS = {
 }
 
 
-class FakeUrController(OneClientServer):
+class FakeUrController(TcpServer):
     """start_deg: where the arm stands; dh: its rows, from which TCP poses follow; state: gets what it does, or None; realtime: packages by
     the clock. watchdog_s: the arm halts where the client is silent for longer; by default that of mbcacq_ur.script, in lock-step a
     computer's stall."""
@@ -70,12 +70,11 @@ class FakeUrController(OneClientServer):
         self.inputs: dict[str, Any] = {}  # what clients wrote, last
         self.lock = threading.Lock()  # of the arm and what is said of it
         self._conversations: list[_Conversation] = []
-        self._clients: list[threading.Thread] = []
         self._kinematics = Kinematics(dh)
         self.inject(**faults)
         self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime, state
         self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
-        super().__init__("fake-ur-controller", host, port)
+        super().__init__(host, port, one=False)
         self._led: np.ndarray | None = None
         self.outputs = 0  # bits of the standard digital outputs
         self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
@@ -91,26 +90,13 @@ class FakeUrController(OneClientServer):
         self._active |= faults
 
     def talk(self, connection: socket.socket) -> None:
-        """Serve it in a thread of its own: a controller has several clients."""
-        own = connection.dup()
-        own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        conversation = _Conversation(self, own)
+        conversation = _Conversation(self, connection)
         self._conversations.append(conversation)
-        thread = threading.Thread(target=self._converse, args=(conversation, own), name="fake-ur-client", daemon=True)
-        self._clients.append(thread)
-        thread.start()
-
-    def _converse(self, conversation: _Conversation, connection: socket.socket) -> None:
-        with connection, suppress(OSError, struct.error, ValueError, UnicodeDecodeError, KeyError):  # it is gone, or talks nonsense
+        with suppress(OSError, struct.error, ValueError, UnicodeDecodeError, KeyError):  # it is gone, or talks nonsense
             conversation.run()
         self._conversations.remove(conversation)
         if conversation.commands:
             self.halt()
-
-    def stop(self) -> None:
-        super().stop()
-        for thread in self._clients:
-            thread.join(5.0)
 
     def is_clock(self, conversation: _Conversation) -> bool:
         """Whether the arm's time goes on with this conversation: with the first that commands, else with the first that listens."""

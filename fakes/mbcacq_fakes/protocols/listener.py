@@ -13,12 +13,12 @@ _POLL_S = 0.05
 class Listener:
     """Accepts in a thread of its own and hands every connection to ``accept``."""
 
-    def __init__(self, host: str, port: int, accept: Callable[[socket.socket], None], refusing: Callable[[], bool]) -> None:
+    def __init__(self, host: str, port: int, accept: Callable[[socket.socket], None], refusing: Callable[[], bool] = lambda: False) -> None:
         self._host, self._accept, self._refusing = host, accept, refusing
         self._closing = threading.Event()
         self._sock: socket.socket | None = self._listen(port)
         self.port: int = self._sock.getsockname()[1]
-        self._thread = threading.Thread(target=self._run, name=f"fake-gocator-{self.port}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"fake-{self.port}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
