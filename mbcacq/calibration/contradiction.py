@@ -100,7 +100,8 @@ def with_contradiction(cell: CalibratedCell) -> CalibratedCell:
         return cell
     absolute = of.robot.of_flange_poses and not found.misdescribed
     joint = found.joint / (OF_ABSOLUTE_POSES if absolute else 1.0)
-    if cell.fit.options.refuse and max(found.scanner, joint) > REFUSED_BEYOND:
+    scanner = found.scanner / (1.0 if found.misdescribed else _doubt(of.noise_mm))
+    if cell.fit.options.refuse and max(scanner, joint) > REFUSED_BEYOND:
         raise CalibrationError(found.sentence(of))
     return warned(cell, found.sentence(of), contradiction=found.to_dict())
 

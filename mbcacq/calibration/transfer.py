@@ -321,7 +321,7 @@ class _Trial:
         fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
         weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
-        whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
+        whitened = system(lineariser, Estimate(fitted.state, fit.coefficients), self.cell.noise, weights).whitened_residual[used]
         return TransferFigures.of(fit.residual[used, :3], whitened, round(rank * float(used.mean())))
 
     def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
