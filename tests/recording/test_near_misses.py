@@ -63,7 +63,7 @@ def test_pictures_without_a_driver_name_the_package(monkeypatch):
     ended.wait()
     monkeypatch.setattr("rerun.experimental.ViewerClient", Client)
     monkeypatch.setattr(open_viewer.rerun_program, "started", lambda *_: ended)
-    monkeypatch.setattr(open_viewer.rerun_program, "end", lambda child: None)
+    monkeypatch.setattr(open_viewer, "kill", lambda child: None)
     monkeypatch.setattr(open_viewer, "has_vulkan", lambda: False)
     with pytest.raises(RecordingError, match="code 102; it needs a Vulkan driver.*mesa-vulkan-drivers"), open_viewer._client((9, 9), {}):
         raise RuntimeError("the connection was closed")
