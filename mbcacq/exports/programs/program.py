@@ -131,8 +131,8 @@ DEGREES = DEGREE  # rad of one
 class Statements:
     """What the statements of a program hold.
 
-    A language derives its own, with the file of the ``grammar`` of a statement, the mark of a ``comment`` to the end of a line, the names that ``word``
-    finds, and what is ``doubtful``: what may be a point in a statement that is not understood.
+    A language derives its own, with the file of the ``grammar`` of a statement, the mark of a ``comment`` to the end of a line, the names
+    that ``word`` finds, and what is ``doubtful``: what may be a point in a statement that is not understood.
     """
 
     grammar: ClassVar[str]
