@@ -254,7 +254,7 @@ def test_names_of_a_rapid_statement_are_compared_once_each(monkeypatch):
 
     def comparisons(names):
         tree = SimpleNamespace(children=[Compared(f"n{k}") for k in range(names)])
-        monkeypatch.setattr(programs, "statement_parser", lambda grammar: SimpleNamespace(parse=lambda code: tree))
+        monkeypatch.setattr(programs, "parser_of", lambda grammar: SimpleNamespace(parse=lambda code: tree))
         Compared.count = 0
         rapid._RapidStatements().statement(0, "", lambda place: 1)
         return Compared.count

@@ -35,7 +35,7 @@ def selection(robot, half_range_deg, heavier):
     true = nominal_parameters(robot.mass * (1 + np.array(heavier)), robot.com, robot.payload_mass, robot.payload_com)
     torque = np.einsum("tjlk,lk->tj", regressor(robot.chain, q + middle, qd, qdd, robot.gravity), true)
     trajectory = Trajectory(robot, time, q + middle, torque=torque + rng.normal(0, 0.3, q.shape))
-    recordings = diagnose._Recordings([trajectory])
+    recordings = diagnose.Recordings([trajectory])
     (group,) = channel_groups(recordings.runs, recordings.inertial, recordings.robot)
     return EffectSelection(MotionModel(group, recordings.runs)), recordings.runs
 

@@ -19,7 +19,7 @@ from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor
 
 
 def torque_model(*trajectories):
-    recordings = diagnose._Recordings(trajectories)
+    recordings = diagnose.Recordings(trajectories)
     group = channel_groups(recordings.runs, recordings.inertial, recordings.robot)[0]
     return MotionModel(group, recordings.runs)
 

@@ -75,8 +75,11 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
 
 def own_errors(full: ModelFit) -> dict[str, float]:
     """Joint with a periodic error -> rms over the poses, deg, of all that it turns by as a fast function of its own angle: the lines, and
-    what is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does.
+    what is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does. There is none
+    for a recording of few poses, where something unmodelled does not stand at all joints.
     """
+    if not full.everywhere:
+        return {}
     linear, model = full.geometry_only.linear, full.model
     turned = [
         (m.candidate.where[0], m.candidate.depends_on, candidate_parts(linear, m.candidate, m.hyper), model.coefficients[own])

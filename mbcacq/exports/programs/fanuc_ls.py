@@ -12,34 +12,9 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs.program import DEGREES, LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, kind, statement_parser
+from mbcacq.exports.programs.program import DEGREES, LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, kind, parser_of
 from mbcacq.quantities import from_degrees
 
-STATEMENT = r"""
-start: [SIGNED] ":" _any*
-_any: indexed | NAME | SIGNED | STRING | OPERATOR | ":"
-indexed: NAME "[" _inside* "]"
-_inside: indexed | NAME | SIGNED | STRING | OPERATOR | ":"
-NAME: /[A-Za-z_][\w.]*/
-SIGNED: /[-+]?(\d+\.?\d*|\.\d+)/
-STRING: /'[^']*'|"[^"]*"/
-OPERATOR: /[-+*\/=<>,()!@%$&#?.{}|^~]/
-%ignore /[\s\x00-\x1f\x7f-\xa0]+/
-"""
-POSITIONS = r"""
-start: position*
-position: "P" "[" INTEGER [":" STRING] "]" "{" group* "}" ";"
-group: GROUP ":" (field ","?)*
-field: NAME (":" | "=") value
-value: SIGNED NAME? | INTEGER NAME? | STRING | STARS NAME?
-GROUP.3: /GP\d+/
-NAME: /[A-Za-z]\w*(\/\w+)*/
-INTEGER.2: /\d+(?![\d.])/
-SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
-STRING: /'[^']*'|"[^"]*"/
-STARS: /\*+/
-%ignore /[\s\x00-\x1f\x7f-\xa0]+/
-"""
 MOTIONS = ("J", "L", "C", "A", "S")
 MOVED = re.compile(r"offset|^lock|^pallet", re.IGNORECASE)
 _SECTION = re.compile(r"^/(MN|POS|END|PROG|ATTR|APPL)\b.*$", re.MULTILINE)
@@ -57,7 +32,7 @@ def read(text: str, n: int) -> RobotProgram:
     end = sections["END"].start() if "END" in sections and sections["END"].start() > begin else len(text)
     line_of = LineNumbers(text)
     try:
-        tree = statement_parser(POSITIONS).parse(text[begin:end])
+        tree = parser_of("fanuc_positions.lark").parse(text[begin:end])
     except UnexpectedInput as error:
         place = begin + max(int(error.pos_in_stream or 0), 0)
         raise ConfigError(f"line {line_of(place)}: these positions are not understood; save the program as ASCII (.ls) anew") from None
@@ -112,7 +87,7 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
         if _REMARK.match(statement):
             continue
         try:
-            tree = statement_parser(STATEMENT).parse(statement)
+            tree = parser_of("fanuc_statement.lark").parse(statement)
         except LarkError:
             for key in re.findall(r"\bP\[\s*(\d+)", statement):
                 out.setdefault(str(int(key)), Uses()).otherwise.append(number)

@@ -8,35 +8,6 @@ from typing import Any
 
 from mbcacq.exports.programs.program import DEGREES, LeftAlone, RobotProgram, Statements, kind, lines, names_in
 
-GRAMMAR = r"""
-start: (motion | _any+)?
-motion: MOTION group ("," group)* tail?
-group: _item+
-tail: WITH _any*
-_any: assignment | _item | ","
-assignment: variable "=" _item
-_item: aggregate | call | variable | SIGNED | STRING | ENUM | OPERATOR | ":" | brackets
-call: variable "(" _any* ")"
-brackets: "(" _any* ")" | "[" _any* "]"
-variable: NAME index? ("." NAME index?)*
-index: "[" _any* "]"
-aggregate: "{" [type] [field ("," field)*] "}"
-type: NAME ":"
-field: NUMBERED | NAME index? value
-value: (aggregate | SIGNED | STRING | ENUM | variable | call | OPERATOR)+
-
-NUMBERED.3: /[A-Za-z]\w*[ \t]+[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?(?![\w.'])/
-MOTION.2: /(S?PTP|S?LIN|S?CIRC|SPL|ASYPTP)(_REL)?(?![\w$])/i
-WITH.2: /WITH(?![\w$])/i
-NAME: /[$A-Za-z_][\w$]*/
-SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|'[BHbh][0-9A-Fa-f]+'/
-STRING: /"[^"]*"/
-ENUM: /#\w+/
-OPERATOR: /==|<>|<=|>=|[-+*\/<>!?.&%@^|~\\]/
-COMMENT: /;.*/
-%ignore COMMENT
-%ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
-"""
 POSE = {"x", "y", "z", "s", "t"}
 FRAME = {"x", "y", "z"}  # of a base or a tool too, unless a motion uses it
 DECLARING = ("decl", "global", "const")
@@ -48,7 +19,7 @@ _INLINE_FORM = re.compile(r"x", re.IGNORECASE)  # the controller's forms call th
 
 
 class _KrlStatements(Statements):
-    grammar, comment, word = GRAMMAR, ";", re.compile(r"[$A-Za-z_][\w$]*")
+    grammar, comment, word = "krl.lark", ";", re.compile(r"[$A-Za-z_][\w$]*")
     doubtful = re.compile(r"\{.*\bA1\s|\bA1\s.*\{", re.IGNORECASE)
 
     def __init__(self, n: int, text: str) -> None:

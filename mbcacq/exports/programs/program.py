@@ -21,11 +21,11 @@ NO_PLACE = re.compile(
 
 
 @cache
-def statement_parser(grammar: str) -> Any:
-    """The parser of one statement of a robot's language."""
+def parser_of(grammar: str) -> Any:
+    """The parser of one statement of a robot's language; grammar: the file beside this one that describes it."""
     from lark import Lark
 
-    return Lark(grammar, parser="lalr", maybe_placeholders=False)
+    return Lark.open(grammar, rel_to=__file__, parser="lalr", maybe_placeholders=False)
 
 
 LeftAlone = tuple[str, int, str]  # name, line and reason
@@ -131,8 +131,8 @@ DEGREES = DEGREE  # rad of one
 class Statements:
     """What the statements of a program hold.
 
-    A language derives its own, with the ``grammar`` of a statement, the mark of a ``comment`` to the end of a line, the names that ``word``
-    finds, and what is ``doubtful``: what may be a point in a statement that is not understood.
+    A language derives its own, with the file of the ``grammar`` of a statement, the mark of a ``comment`` to the end of a line, the names
+    that ``word`` finds, and what is ``doubtful``: what may be a point in a statement that is not understood.
     """
 
     grammar: ClassVar[str]
@@ -151,7 +151,7 @@ class Statements:
         from lark.exceptions import LarkError
 
         try:
-            return statement_parser(self.grammar).parse(code).children
+            return parser_of(self.grammar).parse(code).children
         except LarkError:
             plain = code.split(self.comment, 1)[0] if self.comment else code
             for word in self.word.findall(plain):

@@ -8,32 +8,13 @@ from typing import Any
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs.program import DEGREES, LineNumbers, RobotProgram, Statements, kind
 
-GRAMMAR = r"""
-start: _any* motion?
-motion: MOTION group ("," group)*
-group: _item*
-_any: assignment | _item | ","
-assignment: NAME ":=" _item
-_item: list | call | NAME | SIGNED | STRING | OPERATOR | brackets
-call: NAME "(" _any* ")"
-list: "[" [element ("," element)*] "]"
-element: _item+
-brackets: "(" _any* ")" | "{" _any* "}"
-
-MOTION.2: /(Move|Trigg|Search|Arc|Spot|Paint|Disp)\w*(?!\w)/i
-NAME: /[A-Za-z_]\w*(\.[A-Za-z_]\w*)*/
-SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
-STRING: /"([^"]|"")*"/
-OPERATOR: /<>|<=|>=|:=|[-+*\/<>=:\\?.%|#&$@^~!]/
-%ignore /[\s\x00-\x1f\x7f-\xa0]+/
-"""
 # A comment to the end of its line, a string, what ends a statement, and all else: a text is cut into statements by these.
 _PIECES = re.compile(r'![^\r\n]*|"(?:[^"\r\n]|"")*"?|;|[^!";]+')
 AXES = 6
 
 
 class _RapidStatements(Statements):
-    grammar, doubtful = GRAMMAR, re.compile(r"jointtarget|MoveAbsJ", re.IGNORECASE)
+    grammar, doubtful = "rapid.lark", re.compile(r"jointtarget|MoveAbsJ", re.IGNORECASE)
 
     def __init__(self) -> None:
         super().__init__(AXES)

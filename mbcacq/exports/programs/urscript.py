@@ -8,28 +8,6 @@ from typing import Any
 
 from mbcacq.exports.programs.program import DEGREES, RobotProgram, Statements, kind, lines, names_in
 
-GRAMMAR = r"""
-start: (assignment | _any+)?
-assignment: SCOPE? NAME "=" _item+
-_any: _item | "," | "="
-_item: pose | list | call | NAME | SIGNED | STRING | OPERATOR | brackets
-call: NAME "(" [argument ("," argument)*] ")"
-argument: [NAME "="] _item+
-list: "[" [element ("," element)*] "]"
-element: _item+
-pose: POSE [element ("," element)*] "]"
-brackets: "(" _any* ")"
-
-POSE.3: "p["
-SCOPE.2: /(global|local)(?!\w)/
-NAME: /[A-Za-z_]\w*(\.[A-Za-z_]\w*)*/
-SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
-STRING: /"[^"]*"|'[^']*'/
-OPERATOR: /==|!=|<=|>=|[-+*\/%<>:.?!&|^~;{}@]/
-COMMENT: /#.*/
-%ignore COMMENT
-%ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
-"""
 MOVES = (
     "movej",
     "movel",
@@ -52,7 +30,7 @@ _COMMENT = re.compile(r"""#.*|"[^"]*"?|'[^']*'?""")
 
 
 class _UrStatements(Statements):
-    grammar, comment, doubtful = GRAMMAR, "#", re.compile(r"\[")
+    grammar, comment, doubtful = "urscript.lark", "#", re.compile(r"\[")
 
     def line(self, number: int, at: int, code: str) -> None:
         for child in self.parsed(code, number):
