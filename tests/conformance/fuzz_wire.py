@@ -289,9 +289,9 @@ THERMOMETER = SerialSensor("thermo", "T2", {"port": "socket://127.0.0.1:1", "lin
 
 
 def serial_line(data: bytes) -> None:
-    for line in data.split(b"\n"):
-        THERMOMETER._take(line.decode("ascii", "replace").strip())
-    assert all(np.isfinite(list(THERMOMETER._values.values())))
+    for line in (piece.decode("ascii", "replace").strip() for piece in data.split(b"\n")):
+        if THERMOMETER._pattern.fullmatch(line):
+            assert all(np.isfinite(list(THERMOMETER._numbers(line).values())))
 
 
 def wire_targets() -> list[Target]:

@@ -229,7 +229,7 @@ def test_a_general_function_of_the_covariate_of_a_name_stands_beside_it():
         joint[:, 2] = 8e-4 * np.exp(-0.5 * ((s.obs.q[:, 2] - np.median(s.obs.q[:, 2])) / 0.1) ** 2)
         return Displacements(joint=joint)
 
-    setup = prepare(simulated.observe(simulated.plan(6, 2, 6), 127, [notched]))
+    setup = prepare(simulated.observe(simulated.plan(8, 3, 6), 127, [notched]))
     search, _, point = search_of(setup)
     gear = next(c for c in setup.candidates if c.name == "gear_transmission_error" and c.where == ("A3",))
     members = (Member(gear, float(gear.hyper.values[4])),)

@@ -42,8 +42,8 @@ def test_the_bytes_of_a_state():
     first = one.hear().split("</Robot>")[1] + "</Robot>"
     one.close()
     assert first.startswith(
-        '<Robot><State Base="0" Beat="7" Cancelled="0" Code="0" Done="0" Drives="1" EmergencyStop="0" GuardStop="0" Last="0" Mode="4" Moving="0" '
-        'Override="100" Ready="1" Refused="0" Session="1" SwitchCode="0" Switched="0" Time="5060" Tool="1"><Axis A1="1.500000" A2="-90.000000" '
+        '<Robot><State Base="0" Beat="7" Cancelled="0" Code="0" Done="0" Drives="1" EmergencyStop="0" GuardStop="0" Last="0" LoadKg="0.000000" Mode="4" '
+        'Moving="0" Override="100" Ready="1" Refused="0" Session="1" SwitchCode="0" Switched="0" Time="5060" Tool="1"><Axis A1="1.500000" A2="-90.000000" '
         'A3="90.000000" A4="0.000000" A5="0.000000" A6="0.000000"></Axis><Cart A="0.000000" B="-0.000000" C="0.000000" X="0.000000" Y="0.000000" Z="0.000000"></Cart><Current A1="'
     )
     assert first.endswith("</Current></State></Robot>")

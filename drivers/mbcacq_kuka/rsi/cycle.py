@@ -17,7 +17,7 @@ import threading
 import time
 from typing import Any
 
-from mbcacq_kuka.rsi.realtime import become_real_time, open_socket, wait
+from mbcacq_kuka.rsi.realtime import become_real_time, end_real_time, open_socket, wait
 from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import Shared
 from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
@@ -116,6 +116,7 @@ def main() -> int:
             run(sock, session, parent_gone)
         return 0
     finally:
+        end_real_time()
         shared.close()
 
 

@@ -31,6 +31,12 @@ def become_real_time(cpu: int | None) -> bool:
     return True
 
 
+def end_real_time() -> None:
+    """Cycles of objects are collected again: those of a session are freed before the interpreter ends, not leaked."""
+    gc.unfreeze()
+    gc.enable()
+
+
 def _lock_memory() -> bool:
     """Future memory, too, but only where there is no limit: beyond a limit an allocation would fail."""
     try:
