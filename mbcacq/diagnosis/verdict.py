@@ -151,7 +151,7 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     """The verdict on a fit. It is ``none`` if the evidence of all effects is below that of noise alone, and ``cannot_tell`` if the evidence
     is above that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared. Beside something
     unmodelled it is ``partly_explained`` if names that all these sets share explain a substantial share of the mismatch
-    (``names_explain``), else ``unexplained`` or ``cannot_tell``.
+    (``names_explain``), ``cannot_tell`` if only trends do, else ``unexplained`` or ``cannot_tell``.
     Joints that repeat worse than their data sheet has it are a mismatch of their own, and a name that a general function predicts better
     than is no explanation: the verdict is then neither ``none`` nor ``explained``.
 
@@ -171,15 +171,15 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     if others:
         return "cannot_tell"
     if full.random:
-        return "unexplained"
+        return "cannot_tell" if names_explain(shared, trends=True) else "unexplained"
     return "partly_explained" if noisy or better_in_general(fit, reported) else "explained"
 
 
-def names_explain(effects: Sequence[EffectFound]) -> bool:
-    """Whether an effect of the catalogue that is no trend removes a substantial share of the held-out excess over noise, beyond the
-    expanded uncertainty of that share. An order that is not determined is one of its figures, and takes nothing from the name.
+def names_explain(effects: Sequence[EffectFound], trends: bool = False) -> bool:
+    """Whether an effect of the catalogue removes a substantial share of the held-out excess over noise, beyond the expanded uncertainty of
+    that share. An order that is not determined is one of its figures, and takes nothing from the name. trends: whether trends count.
     """
-    shares = (e.held_out_gain - K * e.held_out_gain_std for e in effects if e.name != UNKNOWN and not e.trend)
+    shares = (e.held_out_gain - K * e.held_out_gain_std for e in effects if e.name != UNKNOWN and (trends or not e.trend))
     return max(shares, default=0.0) > OPTIONS.substantial
 
 

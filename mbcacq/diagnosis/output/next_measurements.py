@@ -106,7 +106,8 @@ def separating(context: Context, pairs: Sequence[tuple[Sequence[Member], Sequenc
             apart = a - b
             chosen = spread(apart)
             most = float(np.linalg.norm(apart[chosen], axis=1).mean())
-            both = " and ".join(map(in_words, pair))
+            ours, theirs = map(in_words, pair)
+            both = f"{ours} and {theirs}" if ours != theirs else f"{ours} alone and beside an unmodelled effect"
             reason = f"{both} differ by {most:.3f} mm at the poses that separate them best: measure those again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
