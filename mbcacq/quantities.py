@@ -54,7 +54,7 @@ SYMBOLS = {stored: symbol for stored, (symbol, factor) in UNITS.items() if facto
 
 
 def in_degrees(angle: Any) -> Any:
-    """An angle, or an array of them, from rad to deg: for what people and files are told."""
+    """An angle, or an array of them, from rad to deg: as people and files read it."""
     import numpy as np
 
     return np.degrees(angle)

@@ -161,7 +161,7 @@ conceals one effect of the catalogue (seven kinds, all joints), one of functions
 eccentricity, a bump, a torque that stiffens), or one of each. One effect turns a joint by 0.05 to 1 mrad. Asked: with what was found never
 more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in 95 % of the cells.
 
-All centres share the errors of the learnt cell, so that the rms of one cell has 5 to 90 degrees of freedom. Of true statements the share
+All centres share the errors of the learnt cell, so that the rms of one cell has 5 to 90 degrees of freedom. The share of true statements
 within 0.8 to 1.2 is in the table; it is below 95 %. Each cell is therefore also compared with its own range, which holds 95 % of true
 statements. The statement falls short of that where what shows beyond the third shows nothing within: a load that never changes its sign
 there, a clearance that is never crossed, a torque that has not yet stiffened, a function that geometry takes up within a third."""

@@ -23,7 +23,7 @@ def seen_and_motion(made):
 
 
 def error_of(found, made, drift=0.0):
-    """Of translation, rotation, delay and sphere, in the order of the covariance without the drift."""
+    """Errors of translation, rotation, delay and sphere, in the order of the covariance without the drift."""
     turn = se3.rotation_log(made.T_hand_eye[:3, :3].T @ found.T_hand_eye[:3, :3])
     delay = made.delay_s + drift * (found.clock.epoch_s + made.delay_s - made.epoch_s)
     off = found.T_hand_eye[:3, 3] - made.T_hand_eye[:3, 3]

@@ -30,7 +30,7 @@ def blocks(x, y):
 
 
 def turned(x, y):
-    """Of revolution about z."""
+    """A surface of revolution about z."""
     r = np.hypot(x, y)
     return 10 * np.cos(r / 14)
 

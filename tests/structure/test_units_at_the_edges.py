@@ -1,4 +1,4 @@
-"""Angles are rad inside: one module turns them to and from degrees, for what people and files say and are told."""
+"""Angles are rad inside: one module turns them to and from degrees, as people and files write and read them."""
 
 import ast
 

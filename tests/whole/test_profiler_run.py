@@ -65,7 +65,7 @@ def test_the_recording_has_every_profile_that_came_and_counts_the_others(run):
     for row in rows:
         assert intact(row)
         assert int(row["lost"][0]) == int(np.sum(np.diff(row["counter"]) - 1)) > 0
-        # The sensor's clock, 60 profiles a second from the moment the arm was told to go.
+        # The sensor's clock, 60 profiles a second from the moment of the arm's command on.
         np.testing.assert_allclose(row["time_s"] - row["time_s"][0], (row["counter"] - row["counter"][0]) / 60, atol=5e-6)
 
 
