@@ -83,7 +83,7 @@ MISTAKES = [  # what happened, what is typed, what the sentence says
 def test_a_mistake_has_one_sentence(spoil, command, said, finished_run, tmp_path):
     source = finished_run("kuka.yaml").folder
     for name in ("monday", "x"):
-        shutil.copytree(source, tmp_path / "runs" / name, copy_function=os.link)
+        shutil.copytree(source, tmp_path / "runs" / name, copy_function=os.link, ignore=shutil.ignore_patterns(".run.lock*"))
     (tmp_path / "plans").symlink_to(PLANS)
     spoil(tmp_path / "runs" / "x")
     with chdir(tmp_path):
