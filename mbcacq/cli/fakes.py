@@ -49,7 +49,7 @@ def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, s
     with load_driver("fakes", "cell")(loaded, poses, realtime=not fast, seed=seed, ports="plan") as cell:
         echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
-            if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):
+            if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None) and not callable(v)):
                 echo(f"  {role}: {places}")
         echo("Ctrl-C here ends the fake cell")
         say_next("in another terminal", command_line("run", plan, "--yes"))
