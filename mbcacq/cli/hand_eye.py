@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from mbcacq.workflow.hand_eye import HandEyeSession
-    from mbcacq.workflow.view_sources import Camera, FollowedArm, ImageFolder, PoseFile, TypedPoses
+    from mbcacq.workflow.view_sources import FollowedArm, ImageFolder, PoseFile, TypedPoses, VideoCamera
 
 
 @click.command("hand-eye")
@@ -64,8 +64,9 @@ def command(
 
     \b
     Examples:
-      mbcacq hand-eye --device 0 --board charuco --size 8x6 --pitch 20 --inner 15 --flange ur
-      mbcacq hand-eye --images incoming --board circles --size 9x7 --pitch 20 --poses flange.csv
+      mbcacq hand-eye --device 0 --board circles --size 9x7 --pitch 20 --flange ur
+      mbcacq hand-eye --images incoming --board chessboard --size 9x6 --pitch 20 \\
+        --poses flange.csv
     """
     from mbcacq.camera.board import board_of
     from mbcacq.camera.intrinsics import read_intrinsics
@@ -74,7 +75,7 @@ def command(
     from mbcacq.recording.datasets.loose_table import TableOptions
     from mbcacq.workflow.hand_eye import HandEyeSession
     from mbcacq.workflow.load import refuse_existing
-    from mbcacq.workflow.view_sources import Camera, ImageFolder, PoseFile, TypedPoses, followed_arm
+    from mbcacq.workflow.view_sources import ImageFolder, PoseFile, TypedPoses, VideoCamera, followed_arm
 
     said = {"--board": kind, "--size": size, "--pitch": pitch}
     if missing := [name for name, value in said.items() if value is None]:
@@ -89,7 +90,7 @@ def command(
     board = board_of(str(kind), str(size), pitch or 0.0, inner, dictionary)
     session = HandEyeSession(out, board, read_intrinsics(camera) if camera else None, measurement, enough)
     with ExitStack() as stack:
-        source: Camera | ImageFolder = ImageFolder(images) if images else Camera(str(device))
+        source: VideoCamera | ImageFolder = ImageFolder(images) if images else VideoCamera(str(device))
         arm: TypedPoses | PoseFile | FollowedArm
         if follow is not None:
             session.robot, arm = stack.enter_context(followed_arm(follow))
@@ -117,7 +118,7 @@ class _Waiting:
 
 def lead(
     session: HandEyeSession,
-    images: Camera | ImageFolder,
+    images: VideoCamera | ImageFolder,
     poses: TypedPoses | PoseFile | FollowedArm,
     wait: _Waiting,
     convention: str | None,

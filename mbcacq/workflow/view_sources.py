@@ -62,7 +62,7 @@ class ImageFolder:
                 return None
 
 
-class Camera:
+class VideoCamera:
     """A camera of OpenCV: its number, the address of a stream, or a pattern of files."""
 
     def __init__(self, source: str) -> None:
