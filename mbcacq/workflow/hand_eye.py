@@ -206,6 +206,7 @@ class HandEyeSession:
             self.observations = observations_of_views(seen, table, options).observations
             cell = calibrate(self.observations, CalibrationOptions(kinematics=False))
         except MbcacqError as error:
+            self.place = None
             self.problem = f"not determined yet: {error}"
             return
         rejected = sorted({self.observations.images.name_of(one.pose) for one in cell.fit.rejected if self.observations.images})
