@@ -223,8 +223,9 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
 def with_uncertain_sizes(cell: CalibratedCell, stage: _Stage) -> CalibratedCell:
     """The cell with a covariance for groups whose sizes were estimated; their coefficients are its last parameters.
 
-    The variance of a group follows from the g coefficients that the recording determines, and from OTHERS that are usual. Its posterior mean
-    is (g + OTHERS) / (g + OTHERS - 2) times the most probable one (inverse gamma): where the recording was not, that is what the group may be.
+    The variance of a group follows from the g coefficients that the recording determines, and from OTHERS that are usual. Its posterior
+    mean is (g + OTHERS) / (g + OTHERS - 2) times the most probable one (inverse gamma). Where the recording was not, that is what the
+    group may be.
     """
     C, first = cell.covariance, len(cell.covariance) - sum(g.k for g in stage.groups)
     weight = np.zeros(len(C))
