@@ -34,10 +34,10 @@ def over_whole_range(here: Covariates, t: EffectTerm) -> list[EffectTerm]:
     t : EffectTerm
         An unmodelled effect; it is returned as it is where it is no such function.
     """
-    name, *further = t.covariates
-    if further or len(t.parts) > 1 or t.parts[0].place != "joint" or not (is_angle(name) or name.startswith("gravity_")):
+    (first, *others), (name, *further) = t.parts, t.covariates
+    if others or further or first.place != "joint" or not (is_angle(name) or name.startswith("gravity_")):
         return [t]
-    found = evaluated(here, t.parts)[0].basis @ t.coefficients
+    found = evaluated(here, [first])[0].basis @ t.coefficients
     size, (low, high) = float(np.std(found)), reached(here, name)
     unit = 1.0 if is_angle(name) else max(abs(low), abs(high))
     several = dict[tuple[str, float], tuple[tuple[Column, ...], np.ndarray]]()
@@ -52,7 +52,7 @@ def over_whole_range(here: Covariates, t: EffectTerm) -> list[EffectTerm]:
     out = list[EffectTerm]()
     for (hyper, length), (columns, relative) in several.items():
         sigma = size * relative / np.sqrt(np.sum(relative**2) / 2)  # of cosines, whose mean square is a half
-        part, units = DescribedPart("joint", t.parts[0].index, 0, columns), ("rad",) * len(columns)
+        part, units = DescribedPart("joint", first.index, 0, columns), ("rad",) * len(columns)
         out.append(EffectTerm.of_group(here, t.where, t.depends_on, [part], sigma, units, variant=SMOOTH, hyper={hyper: length}))
     return out
 
@@ -63,6 +63,6 @@ def reached(here: Covariates, name: str) -> tuple[float, float]:
     if is_angle(name):
         ends = robot.limits[int(name[1:]) - 1]
     else:
-        q = np.random.default_rng(0).uniform(*robot.limits.T, (DRAWN, robot.n))
+        q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (DRAWN, robot.n))
         ends = Covariates(EffectModel(robot, measurement=here.obs.cell.measurement).poses(q)).value(name)
     return float(min(np.min(ends), np.min(recorded))), float(max(np.max(ends), np.max(recorded)))
