@@ -73,7 +73,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     some = obs.select(keep)
     terms = model.at(some) if model else ()
     # An effect that differs between recordings has another draw in the other one: a random effect, beside the learnt one.
-    differing = differing_terms(model, some)
+    differing = differing_terms(model, some, cell)
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=all_phases(some))
     layout = parameters.build(some, options)
     for name in cell.layout.names:
