@@ -148,7 +148,9 @@ def _fitted(
     tilted = normal - slope  # of the fitted surface, better than the mean of the points' normals
     factor = np.linalg.norm(tilted, axis=1)
     usual = np.median(scatter) if m else 0.0
-    apart = mean[:, :_TERMS] - (sums(mean[:, :_TERMS], cell_of, m) / groups[:, None])[cell_of]  # where a scan shows another part of the cell
+    apart = (
+        mean[:, :_TERMS] - (sums(mean[:, :_TERMS], cell_of, m) / groups[:, None])[cell_of]
+    )  # where a scan shows another part of the cell
     lever = 2 * np.einsum("gi,gij,gj->g", apart, inverse[cell_of], apart)  # exact for the distance of two scans
     smooth = (length > 0.9 * total) & (scatter < options.rough * usual)
     # A cell of few points may scatter little by chance: no cell counts as smoother than half of them do.
