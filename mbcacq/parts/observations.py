@@ -58,4 +58,5 @@ def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[Register
         shared=np.concatenate(shared)[order] if total else None,
         n_points=None,
         rms_mm=None,
+        extra={name: values for name, values in kept.extra.items() if name.startswith("poses.")},
     )

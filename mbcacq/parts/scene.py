@@ -18,7 +18,7 @@ from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import SurfaceCells, surface_cells
 from mbcacq.parts.placement import rigid_columns
-from mbcacq.parts.scans import ScanSurface, spacing
+from mbcacq.parts.scans import ScanSurface, spacing, thinned
 from mbcacq.parts.step import SmoothNoise, smooth_noise
 
 PLAIN = SmoothNoise(0.0, 1.0)
@@ -94,8 +94,9 @@ def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, option
     """
     edge, T, noise = options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces])), T_base_scanner, PLAIN
     for factor in options.coarse:
+        fewer = [thinned(surface, int(len(surface.points) / factor**2)) for surface in surfaces]
         for _ in range(options.steps):
-            cells, used = _connected(surfaces, T, edge * factor, max(8, int(options.cells[0] / factor)), options)
+            cells, used = _connected(fewer, T, edge * factor, max(8, int(options.cells[0] / factor)), options)
             T, moved = _moved(T, used, _motions(cells, len(used), PLAIN, options))
             if moved < options.captured * edge * factor / 4:
                 break

@@ -119,10 +119,10 @@ def merge_scans(
     if isinstance(cell.nominal, FlangePoses) or observations.q.shape[1] != cell.nominal.n:
         raise ConfigError("the result and the recording are of different arms; give the result of this cell")
     station = _station(observations, station)
-    scans = _scans(source, observations, station)
+    scans = scans_at(source, observations, station)
     progress("comparing the scans where they overlap")
     count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
-    seen = _thinned(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
+    seen = thinned_scans(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
     ways = placements(cell)
     compared = agreement(seen[0], ways, o)
     voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
@@ -181,7 +181,7 @@ def _station(observations: Observations, wanted: str | None) -> str:
     return parts[0]
 
 
-def _thinned(scans: Scans, most: int) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
+def thinned_scans(scans: Scans, most: int) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
     """The first exposure of every pose with at most so many points; and the median spacing of the points in mm.
 
     Further exposures of a pose stand where the first one does: they tell nothing of the cell.
@@ -199,7 +199,7 @@ def _thinned(scans: Scans, most: int) -> tuple[list[tuple[PartScan, ScanSurface]
     return kept, float(np.median(apart))
 
 
-def _scans(source: Path, observations: Observations, station: str) -> Scans:
+def scans_at(source: Path, observations: Observations, station: str) -> Scans:
     index = [s.id for s in observations.cell.stations].index(station)
     of_pose = {int(n): q for n, q, s in zip(observations.pose_id, observations.q, observations.station, strict=True) if s == index}
     read = _of_run if is_run_folder(source) or source.is_file() else _of_folder
