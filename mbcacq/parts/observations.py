@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.model.cell import Artefact
+from mbcacq.model.cell import SCENE, Artefact
 from mbcacq.model.observations import Observations
 from mbcacq.parts.scene import RegisteredScene
 
@@ -40,7 +40,7 @@ def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[Register
         columns[:, :, first : first + scene.shared.shape[2]] = scene.shared
         shared.append(columns)
         first += scene.shared.shape[2]
-    target = Artefact("scene", "scanned part", (TARGET,), np.zeros((1, 3)), np.zeros(1), uncertainty_mm=0.0)
+    target = Artefact(SCENE, "scanned part", (TARGET,), np.zeros((1, 3)), np.zeros(1), uncertainty_mm=0.0)
     stations = tuple(replace(obs.cell.station(s), artefact=target.id, T_base_station=None, sigma_mm=None) for s in ids)
     sigma = np.sqrt(np.median(np.einsum("nii->ni", covariance), axis=0))
     cell = replace(obs.cell, artefacts=(target,), stations=stations, noise_mm=sigma[:3], noise_rad=float(sigma[3:].mean()))
