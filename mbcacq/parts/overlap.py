@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,8 +78,16 @@ class SurfaceCells:
         """Some of the groups, by mask; cells that no two of these share go."""
         which = which & (np.bincount(self.cell[which], minlength=len(self.point)) > 1)[self.cell]
         kept, cell = np.unique(self.cell[which], return_inverse=True)
-        of_cells, of_groups = (self.point, self.normal, self.scatter), (self.scan, self.height, self.variance)
-        return SurfaceCells(*(v[kept] for v in of_cells), cell, *(v[which] for v in of_groups))
+        return replace(
+            self,
+            point=self.point[kept],
+            normal=self.normal[kept],
+            scatter=self.scatter[kept],
+            cell=cell,
+            scan=self.scan[which],
+            height=self.height[which],
+            variance=self.variance[which],
+        )
 
     def pair(self, i: int, j: int) -> Overlap:
         """The overlap of two scans."""

@@ -92,7 +92,7 @@ def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, option
     ConfigError
         No two scans overlap enough.
     """
-    edge, T, noise = options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces])), T_base_scanner, PLAIN
+    edge, T = options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces])), T_base_scanner
     for factor in options.coarse:
         fewer = [thinned(surface, int(len(surface.points) / factor**2)) for surface in surfaces]
         for _ in range(options.steps):
@@ -100,13 +100,15 @@ def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, option
             T, moved = _moved(T, used, _motions(cells, len(used), PLAIN, options))
             if moved < options.captured * edge * factor / 4:
                 break
+    cells, used = _connected(surfaces, T, edge, options.cells[0], options)
+    noise = _noise(cells, len(used), options)
+    found = _without_gross(cells, len(used), noise, options)
     for _ in range(options.steps):
-        cells, used = _connected(surfaces, T, edge, options.cells[0], options)
-        noise = _noise(cells, len(used), options) if noise is PLAIN else noise
-        found = _without_gross(cells, len(used), noise, options)
         T, moved = _moved(T, used, found)
         if moved < noise.sigma_mm:
             break
+        cells, used = _connected(surfaces, T, edge, options.cells[0], options)
+        found = _without_gross(cells, len(used), noise, options)
     return _scene(T, used, found, cells.point.mean(axis=0), noise, tuple(sorted({*range(len(surfaces))} - {*used.tolist()})))
 
 
@@ -205,7 +207,7 @@ def _motions(cells: SurfaceCells, count: int, noise: SmoothNoise, options: PartO
 def _scene(
     T: np.ndarray, used: np.ndarray, found: _Motions, origin: np.ndarray, noise: SmoothNoise, left_out: tuple[int, ...]
 ) -> RegisteredScene:
-    own = block_diag(*(np.linalg.inv(block) for block in found.own))
+    own = _diagonal([np.linalg.inv(block) for block in found.own])
     root = np.linalg.cholesky(own)
     known, V, rest = _modes(found.information, LEAST_INFORMATION)
     # Beyond what each scan has of its own, in units of that: what the unknown heights add. Motions of all scans alike do not count.
@@ -219,7 +221,7 @@ def _scene(
     alike = alike[0][:, alike[1] > 1e-6]
     rest, share, _ = np.linalg.svd(rest - alike @ (alike.T @ rest), full_matrices=False)
     seen = [np.kron(np.eye(2), M[:3, :3].T) @ _about(arm) for M, arm in zip(T[used], arms, strict=True)]
-    determined, open_ = (block_diag(*(S @ D for S, D in zip(seen, each, strict=True))) for each in (found.directions, found.open_))
+    determined, open_ = (_diagonal([S @ D for S, D in zip(seen, each, strict=True)]) for each in (found.directions, found.open_))
     modes = np.concatenate([root @ (mode[:, kept] * np.sqrt(size[kept])), OPEN_MM * rest[:, share > 0.1]], axis=1)
     shared = np.concatenate([determined @ modes, OPEN_MM * open_], axis=1)
     # A scan's own covariance is as usual along what is open.
@@ -248,3 +250,7 @@ def _about(arm: np.ndarray) -> np.ndarray:
     out = np.eye(6)
     out[:3, 3:] = se3.skew(arm)
     return out
+
+
+def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    return np.asarray(block_diag(*blocks), dtype=float)  # pyright: ignore[reportCallIssue, reportArgumentType] -- wrong stubs
