@@ -71,8 +71,8 @@ def seen_as_points(check: PlannedCheck, obs: Observations) -> tuple[Observations
 
 
 def with_noise(check: PlannedCheck, noise: np.ndarray) -> PlannedCheck:
-    """The check with the noise (R, R) of its points. Of the nine coordinates of a pose six count, those that are least alike: three points
-    of a rigid scene have no more."""
+    """The check with the noise (R, R) of its points. Six of the nine coordinates of a pose count, those that are least alike:
+    three points of a rigid scene have no more."""
     obs, xyz = check.obs, check.prediction.xyz.reshape(-1, 3, 3)
     shown = np.zeros((len(xyz), 9), dtype=bool)
     for k, points in enumerate(xyz):

@@ -97,8 +97,8 @@ def as_plan(plan: LoadedPlan | Path | str) -> LoadedPlan:
 
 
 def as_observations(data: Observations | Path | str) -> Observations:
-    """Observations as they are, or read from their place; see ``load_observations``. Of a recording that saw parts alone, the places of
-    their scenes as the scans have them."""
+    """Observations as they are, or read from their place; see ``load_observations``. A recording that saw parts alone
+    gives the places of their scenes."""
     if isinstance(data, Observations):
         return data
     found = load_observations(data)
