@@ -50,7 +50,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     after, residual_after = training_score(full.joint)
     found = averaged_over_sets(full, with_alternatives(full, effects_by_contribution(full, contributions, validation, again)))
-    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full, found)
+    alike, verdict = pairs_not_separable(full.evidence, full.everywhere), verdict_of(full, found)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
     # That nothing was found says little where little could have been.
@@ -163,7 +163,7 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided or noisy else "none"
     reported = reported_hypothesis(fit)
-    others = alternatives_to(fit, reported) if fit.significant else []
+    others = alternatives_to(fit, reported, full.everywhere) if fit.significant else []
     open_ones = frozenset[str]().union(*(reported.labels - other.labels for other, _ in others))
     shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
     if full.random and names_explain(shared):

@@ -172,7 +172,8 @@ def stated_orders(
     known = [count >= least and is_determined(line) for count, line in zip(in_parts, lines, strict=True)]
     if parts is not None:
         apart = np.abs(orders[:, None] - orders) + np.diag(np.full(len(orders), np.inf))
-        known = [sure and bool(nearest > CROWDED * resolution) for sure, nearest in zip(known, apart.min(axis=1), strict=True)]
+        alone = (apart.min(axis=1) > CROWDED * resolution) & (orders >= resolution)  # a period and more was seen
+        known = [sure and bool(one) for sure, one in zip(known, alone, strict=True)]
     listed = [
         PossibleOrder(at, number, peak.order, peak.sigma, peak.odds, determined)
         for number, (line, determined) in enumerate(zip(lines, known, strict=True), 1)
@@ -228,7 +229,8 @@ def of_lines(
     whole: ParameterEstimate | None = None,
 ) -> dict[str, ParameterEstimate]:
     """The parameters with those lines of a joint alone that have a single order; where others are left out, or lines are not all of the
-    error, the rms of all together, which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
+    error, the rms of all together, which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase
+    is less certain for it.
     """
     columns = {name: np.array(parameters[f"{at}.{name}"].components) for name in LINE if f"{at}.{name}" in parameters}
     chosen = np.flatnonzero(single)
