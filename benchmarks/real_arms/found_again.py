@@ -90,7 +90,7 @@ def row_of(name: str, poses: object, first: dict, second: dict, held: str, campa
 
 
 def of_the_arm(found: dict[str, dict]) -> dict[str, dict]:
-    """What another campaign with the same arm must show again: effects of joints and links. Of something unmodelled that is the place alone:
+    """What another campaign with the same arm must show again: effects of joints and links. Of something unmodelled that is the place, as
     its size is over the poses of its recording.
     """
     arm = {label: own for label, own in found.items() if label.partition(":")[2].startswith(("A", "link"))}
