@@ -45,7 +45,7 @@ def verdict_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
     if d.verdict == "explained" and d.not_separable:
         yield "explained beside what cannot be told apart"
     if d.verdict == "explained" and any(not one.repeats for e in d.effects for one in e.found_again):
-        yield "explained by what halves do not both show"
+        yield "explained by what parts do not show again"
     if d.verdict == "unexplained" and not any(e.name == UNKNOWN for e in d.effects):
         yield "unexplained without anything unmodelled"
     if "A trend alone" in text and (findings or d.verdict != "cannot_tell"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
+from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, SELDOM_FOUND, EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
 from mbcacq.diagnosis.model_fit import PartModel
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
@@ -143,9 +143,10 @@ def test_what_halves_do_not_both_show_is_a_trend_and_explains_nothing():
     assert twice.trend == ""
     assert not_found_again([twice]) == []
     (note,) = not_found_again([once, twice])
-    assert note.startswith("halves of the recording do not both show gear_transmission_error at A6")
+    assert note.startswith("parts of the recording do not show gear_transmission_error at A6 again")
     assert "found again in 1 of 2 halves by blocks" in sentences(once)
-    few = replace(once, found_again=(FoundAgain("A6", 3, 4, False),))
+    seldom, few = (replace(once, found_again=(FoundAgain("A6", n, 4, False),)) for n in (1, 3))
+    assert seldom.trend == SELDOM_FOUND
     assert few.trend == ""
     assert "found again in 3 of 4 searches without a part of the poses (too few poses for halves)" in sentences(few)
 
