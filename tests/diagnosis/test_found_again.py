@@ -20,6 +20,7 @@ from mbcacq.diagnosis.validation.found_again import (
     relative_spread,
     shows,
     size_spread,
+    spread_of_kinds,
     with_spread_between_parts,
 )
 from mbcacq.diagnosis.verdict import not_found_again
@@ -194,6 +195,13 @@ def test_something_unmodelled_that_one_half_lacks_is_as_uncertain_as_it_is_large
     assert sizes.tolist() == [1.0, 0.0]
     assert relative_spread(sizes) == 1.0
     assert relative_spread(np.array([1.0, 1.0])) == 0.0
+
+
+def test_what_halves_put_now_to_one_link_and_now_to_the_next_is_at_none_for_certain():
+    same, once = np.array([1.0, 1.0]), np.array([1.0, 0.0])
+    spread = spread_of_kinds({("link1", "q1"): same, ("link2", "q2"): once, ("A1", "q1"): same, ("A2", "q2"): same})
+    assert spread["A1", "q1"] == 0.0
+    assert spread["link1", "q1"] == spread["link2", "q2"] == pytest.approx(np.sqrt(0.5))
 
 
 def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
+from string import digits
 
 import numpy as np
 
@@ -37,10 +38,11 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         found_in = sum(shows(part, at, own) for part in parts)
         spread = size_spread(full.random, parts) if again.of_halves else 0.0
         out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
-    for key in dict.fromkeys((group.location, group.depends_on) for group in full.random):
-        ratios = relative_sizes(full.random, parts, key)
-        spread = relative_spread(ratios) if again.of_halves else 0.0
-        out[group_label(*key)] = FoundAgain(key[0], int(np.sum(ratios > 0)), len(parts), again.of_halves, size_spread=spread)
+    keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
+    ratios = {key: relative_sizes(full.random, parts, key) for key in keys}
+    spread = spread_of_kinds(ratios) if again.of_halves else dict.fromkeys(keys, 0.0)
+    for key, sizes in ratios.items():
+        out[group_label(*key)] = FoundAgain(key[0], int(np.sum(sizes > 0)), len(parts), again.of_halves, size_spread=spread[key])
     return out
 
 
@@ -69,6 +71,17 @@ def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> fl
 def relative_spread(sizes: np.ndarray) -> float:
     """Standard deviation of a size, relative to it, by those (n,) of disjoint parts."""
     return float(jackknife(sizes[:, None])[0] / max(sizes.mean(), 1e-300))
+
+
+def spread_of_kinds(sizes: Mapping[tuple[str, str], np.ndarray]) -> dict[tuple[str, str], float]:
+    """The relative spread of each size, pooled over the groups of its kind (links by the angle before them, say): what halves put now to
+    one link and now to the next is at none of them for certain.
+    """
+    kinds: dict[tuple[str, str], list[float]] = {}
+    kind = {key: (key[0].rstrip(digits), key[1].rstrip(digits)) for key in sizes}
+    for key, each in sizes.items():
+        kinds.setdefault(kind[key], []).append(relative_spread(each))
+    return {key: float(np.sqrt(np.mean(np.square(kinds[kind[key]])))) for key in sizes}
 
 
 def shows(part: PartModel, at: str, reported: Container[str]) -> bool:
