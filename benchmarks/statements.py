@@ -75,7 +75,7 @@ def gains_against_what_is_kept(d: Diagnosis, text: str) -> Iterator[str]:
         if REMOVES_NOTHING in block and re.search(r"removes \d", block):
             yield "a share is removed by what held-out data are predicted as well without"
     for effect in d.effects:
-        if not effect.trend and effect.held_out_gain > 0.5 and effect.found_again and not any(one.found_in for one in effect.found_again):
+        if effect.held_out_gain > 0.5 and effect.found_again and not any(one.found_in for one in effect.found_again):
             yield f"{effect.name} removes {effect.held_out_gain:.0%} of held-out excess, and no part of the recording shows it"
     if "calibrate with what was found" in text and not is_to_be_calibrated_with(d):
         yield "a calibration is advised where nothing is kept or something is open"
