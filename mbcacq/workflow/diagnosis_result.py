@@ -287,7 +287,7 @@ class DiagnosisResult:
         keep_in_run(self.to_dict(), cards_of(poses), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). If there are poses and motion, the motion has its own key.
+        """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). The motion has its own key if there are poses and motion.
 
         Returns
         -------

@@ -1,8 +1,8 @@
 """Whether a recording could have shown the effects of the catalogue at their typical sizes, and how many poses like its own could.
 
-That nothing was found means something only where something could have been. Each effect is taken by itself here, with the found effects and
-the geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though
-perhaps with alternatives that cannot be told apart. ``exclusion_limits`` computes the reported limits.
+Finding nothing means something only if something could have been found. Each effect is taken by itself here, with the found effects and the
+geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though perhaps
+with alternatives that cannot be told apart. ``exclusion_limits`` computes the reported limits.
 """
 
 from __future__ import annotations
