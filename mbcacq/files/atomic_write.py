@@ -58,7 +58,7 @@ def write_file(path: Path | str, data: bytes | str, *, folder: Path | None = Non
 def inside_folder(path: Path | str, folder: Path | None = None) -> Path:
     """The file that a path leads to through links, which may lead anywhere in a folder (default: that of the path) and nowhere else.
 
-    Code that opens a file for writing by itself asks here first. Names of the system (/dev/stdout) may lead where they do.
+    Code that opens a file for writing by itself asks here first. Names of the system (/dev/stdout) are followed.
 
     Raises
     ------

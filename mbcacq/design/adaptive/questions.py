@@ -50,8 +50,8 @@ class SetComparison:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
-    """sets: of effects, which are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
-    that could hide, by weights and names (K - pairs,). aim: log odds between sets that are to be expected.
+    """sets: sets of effects that are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
+    that could hide, by weights and names (K - pairs,). aim: log odds between sets to be expected after the measurement.
     """
 
     sets: tuple[Hypothesis, ...]

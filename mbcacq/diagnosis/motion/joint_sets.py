@@ -73,7 +73,7 @@ class JointEvidence:
 def joint_evidence(evidences: Sequence[EvidenceSummary], given: Collection[str] = ()) -> JointEvidence:
     """All consistent joint sets; none if the evidences share no consistent one.
 
-    evidences: with parameters in the words of the poses. given: effects of which one evidence has taken what others state as its prior.
+    evidences: with parameters in the words of the poses. given: effects whose prior in one evidence is the value that the others state.
     """
     each = [[by_label(one) for one in evidence.sets] for evidence in evidences]
     known = [frozenset(label for one in sets for label in one) for sets in each]

@@ -66,7 +66,8 @@ def sufficient_poses(limited: Sequence[Member], poses: int) -> float:
 
 
 def weights(limited: Sequence[Member]) -> np.ndarray:
-    """(E,) of each effect, of sum one: every kind counts alike, every location of a kind too, as in their prior probability."""
+    """(E,) weights of the effects, with sum one. All kinds have equal weight, and so do all locations of a kind, as in the prior
+    probability."""
     locations = Counter(e.candidate.name for e in limited)
     return np.array([1.0 / (len(locations) * locations[e.candidate.name]) for e in limited])
 
