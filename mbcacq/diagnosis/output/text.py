@@ -35,7 +35,7 @@ from mbcacq.quantities import (
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
     "explained": "Explained: the effects below bring the simulation {distance}.",
-    "partly_explained": "Partly explained: named effects explain a part of the mismatch; what they leave has no name.",
+    "partly_explained": "Partly explained: named effects explain a part of the mismatch; the rest is unmodelled.",
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these {data} do not separate the candidates, or do not show them.",
 }
