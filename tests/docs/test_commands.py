@@ -91,9 +91,6 @@ OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"  # goes by the clock, and ex
 # That a plan of this arm comes of it is the fact, not for how many places.
 NEW_PLAN, FEW = "mbcacq plan new --robot ur10e", "--stations 3 --poses 12"
 
-# All of it takes two minutes; benchmarks/investigate.py has what it finds. Here its first block is executed.
-INVESTIGATION = re.compile(r"^(?:\.venv/bin/)?mbcacq investigate plans/\w+\.yaml --dry-run$")
-
 
 def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], diagnosed: Callable[[], FinishedRun]) -> str:
     """The script with the dry runs of shipped plans, and the diagnosis of one of them, replaced by copies of what they left."""
@@ -105,8 +102,6 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], di
             lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' plans/my-cell.yaml")
         elif line.startswith(NEW_PLAN):
             lines.append(f"{line} {FEW}")
-        elif INVESTIGATION.match(line.strip()):
-            lines.append(f"{line} --poses 24")
         elif DIAGNOSED.match(line.strip()):
             run = diagnosed()
             lines.append(f"cp -a '{run.folder}'/. runs/concealed && cat '{run.desk / 'stdout'}'")
