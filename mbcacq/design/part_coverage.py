@@ -227,5 +227,5 @@ def in_short_order(loaded: LoadedPlan, found: PartViews, chosen: list[int]) -> l
 
 
 def _length(far: np.ndarray, way: list[int]) -> float:
-    """Of a way that ends where it began."""
+    """The length of a way that ends where it began."""
     return float(far[way, [*way[1:], way[0]]].sum())
