@@ -53,7 +53,7 @@ def verdict_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
 
 
 def odds_against_words(d: Diagnosis, text: str) -> Iterator[str]:
-    """What is excluded has odds below a twentieth, and what cannot be told apart above."""
+    """What is excluded has odds below a twentieth, and what cannot be told apart above; what is stated stands in no other's place."""
     for pair in d.not_separable:
         if pair.odds is not None and pair.odds < OPTIONS.undecided:
             yield f"{' and '.join(pair.effects)} cannot be told apart at odds {pair.odds:.2g}"
@@ -66,6 +66,11 @@ def odds_against_words(d: Diagnosis, text: str) -> Iterator[str]:
                 yield f"excluded at odds 1 : {odds}"
         if heading in ("could also be", "Cannot be told apart") and "(excluded)" in rest:
             yield f"{heading}: excluded"
+    for effect in d.effects:
+        here = {name.partition("(")[0] for name in effect.parameters}
+        for other in (a for a in effect.alternatives if a.name == effect.name == UNKNOWN):
+            if here & set(other.where):
+                yield f"{effect.name} at {', '.join(other.where)} is stated and in the place of itself"
 
 
 def gains_against_what_is_kept(d: Diagnosis, text: str) -> Iterator[str]:
