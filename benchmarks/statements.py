@@ -53,7 +53,7 @@ def verdict_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
 
 
 def odds_against_words(d: Diagnosis, text: str) -> Iterator[str]:
-    """What is excluded has odds below a twentieth, and what cannot be told apart above; what is stated stands in no other's place."""
+    """What is excluded has odds below a twentieth, and what cannot be told apart above."""
     for pair in d.not_separable:
         if pair.odds is not None and pair.odds < OPTIONS.undecided:
             yield f"{' and '.join(pair.effects)} cannot be told apart at odds {pair.odds:.2g}"
@@ -66,6 +66,10 @@ def odds_against_words(d: Diagnosis, text: str) -> Iterator[str]:
                 yield f"excluded at odds 1 : {odds}"
         if heading in ("could also be", "Cannot be told apart") and "(excluded)" in rest:
             yield f"{heading}: excluded"
+
+
+def alternatives_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
+    """What is stated stands in no other's place."""
     for effect in d.effects:
         here = {name.partition("(")[0] for name in effect.parameters}
         for other in (a for a in effect.alternatives if a.name == effect.name == UNKNOWN):
@@ -142,6 +146,7 @@ def text_against_json(d: Diagnosis, text: str) -> Iterator[str]:
 RULES: tuple[Rule, ...] = (
     verdict_against_effects,
     odds_against_words,
+    alternatives_against_effects,
     gains_against_what_is_kept,
     figures_against_counts,
     uncertainty_against_held_out,
