@@ -1,8 +1,8 @@
 """A calibration that loses against a simpler one is not published.
 
-Where the joints of a calibrated arm seem to repeat worse than the arm does, its model lacks something, and nothing guarantees any longer
-that the most careful weighing of the rows is the best. Simpler calibrations of the same recording then compete: each is fitted without a
-block of poses and predicts it, block after block. One of them is published in its place where it predicts better beyond scatter.
+The model of a calibrated arm lacks something if its joints seem to repeat worse than the arm does. The most careful weighing of the rows
+may then no longer be the best. Simpler calibrations of the same recording then compete: each is fitted without a block of poses and
+predicts it, block after block. One of them is published in its place where it predicts better beyond scatter.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class HeldOutComparison(AsJson):
     chosen
         Name of the calibration that is to be published.
     robust_mm
-        The same without gross centres, which every calibration misses; the choice is by these. Empty where no centre is gross.
+        The same without gross centres, which every calibration misses; the choice is by these. Empty if no centre is gross.
     centres, robust_centres
         Number of all centres, and of those that are not gross.
     """
@@ -60,7 +60,7 @@ class HeldOutComparison(AsJson):
         return float(np.sqrt(np.mean((self.robust_mm if robust else self.rms_mm)[name] ** 2)))
 
     def sentence(self, own: str) -> str:
-        """For whoever gets another calibration than ``own``, which was asked for."""
+        """A sentence for a user who gets another calibration than the one asked for, ``own``."""
         judged = self.robust_mm or self.rms_mm
         better = int(np.sum(judged[self.chosen] < judged[own]))
         robust = (
@@ -128,7 +128,7 @@ def compared_on_held_out(
     Returns
     -------
     HeldOutComparison or None
-        None where the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
+        None if the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
     """
     obs = thin(obs, POSES) if obs.n_poses > POSES else obs
     masks, by_station = _blocks(obs)
@@ -152,8 +152,8 @@ def compared_on_held_out(
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:
-    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Where the links have sizes, those
-    stay as they are: without them the error where nothing was measured has no bound.
+    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Sizes of the links stay as they
+    are: without them the error away from the measured poses has no bound.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """How far an arm misses the places that it is sent to, as its own scanner measures it: before and after its targets were corrected.
 
-Whoever sends an arm to a place believes in its nominal model. So the hand-eye transform and the stations are adjusted to a recording as if
-the arm stood exactly where it was sent, and nothing else: what remains at the balls is what the arm misses. With the joint angles as
-driven, it is the error of the arm of the controller's model (before). With the joint angles by which the places were planned, it is the
-error of the arm with corrected targets (after). Both are of the same poses, of one recording, by one procedure.
+Targets of an arm are given by its nominal model. So the hand-eye transform and the stations are adjusted to a recording as if the arm stood
+exactly where it was sent, and nothing else: what remains at the balls is what the arm misses. With the joint angles as driven, it is the
+error of the arm of the controller's model (before). With the joint angles by which the places were planned, it is the error of the arm with
+corrected targets (after). Both are of the same poses, of one recording, by one procedure.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def arm_improvement(
 
     nominal, corrected: (P, n) rad, the joint angles that each pose was planned by and those that the arm was sent to. noise_mm: (P,) 3D
     standard deviation of one measured point. took_part: (P,) bool, whether the place took part in the calibration; None: not known. Places
-    that the calibration did not measure are judged where there are as many as a station needs, else all. None where no station has enough
-    poses. Raises CalibrationError where hand-eye and stations cannot be adjusted.
+    that the calibration did not measure are judged where there are as many as a station needs, else all. None if no station has enough
+    poses. Raises CalibrationError if hand-eye and stations cannot be adjusted.
     """
     measured = np.bincount(observations.pose, minlength=observations.n_poses) > 0
     counts = np.bincount(observations.station[measured], minlength=len(observations.cell.stations))

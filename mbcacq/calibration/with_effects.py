@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.cell_estimate import square_root
 from mbcacq.calibration.published_cell import with_estimates
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
@@ -22,7 +23,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.pose_information import Weights
-from mbcacq.estimation.random_effect_sizes import consecutive, eliminated, sizes_by_marginal_likelihood, without_prior
+from mbcacq.estimation.random_effect_sizes import OTHERS, consecutive, eliminated, sizes_by_marginal_likelihood, without_prior
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise, one_thread
 from mbcacq.estimation.terms import Term
@@ -53,7 +54,7 @@ def refitted(
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
     fit: calibrates observations under any options. hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled
-    effects are learnt from 3000 poses at most, evenly at random; the calibration is of these. Raises ConfigError where the effects are of
+    effects are learnt from 3000 poses at most, evenly at random; the calibration is of these. Raises ConfigError if the effects are of
     another arm, and what ``fit`` raises.
     """
     options = options or CalibrationOptions()
@@ -121,7 +122,7 @@ def _fitted_beside_held(obs: Observations, options: CalibrationOptions, model: E
 def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
     """The pattern that joints share in their own errors, by its evidence in a recording, where the groups for them have these sizes.
 
-    None where there is none, where the recording is too short to tell, or where the groups have one.
+    None if there is none, where the recording is too short to tell, or where the groups have one.
     """
     fitted, options = sized.fitted, sized.options
     known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
@@ -177,7 +178,7 @@ def _beside(alone: CalibratedCell, fitted: CalibratedCell) -> CalibratedCell:
 
 
 def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording: str = "the recording") -> None:
-    """Raises ConfigError where effects were learnt on another arm than that of a recording."""
+    """Raises ConfigError if effects were learnt on another arm than that of a recording."""
     refuse_other_arm("these effects were learnt on", model.robot.name, model.robot.chain, obs.cell.robot, recording)
 
 
@@ -213,10 +214,28 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
     adjusted = Adjustment(
         solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
-    result = adjusted_cell(chosen, adjusted)
+    result = with_uncertain_sizes(adjusted_cell(chosen, adjusted), stage)
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
     model = replace(parametric, terms=(*parametric.terms, *groups))
     return replace(result, effects=with_estimates(model, result))
+
+
+def with_uncertain_sizes(cell: CalibratedCell, stage: _Stage) -> CalibratedCell:
+    """The cell with a covariance for groups whose sizes were estimated; their coefficients are its last parameters.
+
+    The variance of a group follows from the g coefficients that the recording determines, and from OTHERS that are usual. Its posterior
+    mean is (g + OTHERS) / (g + OTHERS - 2) times the most probable one (inverse gamma). Where the recording was not, that is what the
+    group may be.
+    """
+    C, first = cell.covariance, len(cell.covariance) - sum(g.k for g in stage.groups)
+    weight = np.zeros(len(C))
+    for g, s, own in zip(stage.groups, stage.scale, consecutive(g.k for g in stage.groups), strict=True):
+        if not given_size(g):
+            at, prior = slice(first + own.start, first + own.stop), (g.sigma * s) ** 2
+            known = OTHERS + g.k - float(np.sum(np.diag(C)[at] / prior))
+            weight[at] = -2 / known / prior
+    root = square_root(C)
+    return replace(cell, covariance=root @ np.linalg.solve(np.eye(len(C)) + root.T @ (weight[:, None] * root), root.T))
 
 
 def terms_beyond(fitted: CalibratedCell, parametric: EffectModel) -> tuple[Term, ...]:

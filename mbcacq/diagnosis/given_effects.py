@@ -70,7 +70,7 @@ class PosesGiven:
 
 
 def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options: CalibrationOptions | None = None) -> PosesGiven | None:
-    """The sets of effects that the poses show beside those that something else states.
+    """The sets of effects that the poses show in addition to those stated elsewhere.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options:
     Returns
     -------
     PosesGiven or None
-        None where no stated effect is a candidate of the poses with a single coefficient.
+        None if no stated effect is a candidate of the poses with a single coefficient.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def with_those_given(one: ComparedSet, given: EffectSet, hypothesis: Hypothesis)
 
 
 def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -> EffectSet:
-    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters. Those that an
+    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters. Effects that an
     arm cannot have are searched as all others."""
     by_label = {one.label: one for one in stated}
     members, mean, std = list[Member](), [np.zeros(0)], [np.zeros(0)]
@@ -146,7 +146,7 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -
 
 
 def coefficient_of(candidate: Candidate, parameters: Parameters) -> tuple[np.ndarray, np.ndarray] | None:
-    """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None where it does not follow.
+    """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None if it does not follow.
 
     The parameter must be in proportion to the coefficient, sign included: a width does not tell on which side of its motion a joint is.
     """

@@ -50,7 +50,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     after, residual_after = training_score(full.joint)
     found = averaged_over_sets(full, with_alternatives(full, effects_by_contribution(full, contributions, validation, again)))
-    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full, found)
+    alike, verdict = pairs_not_separable(full.evidence, full.everywhere), verdict_of(full, found)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
     # That nothing was found says little where little could have been.
@@ -66,7 +66,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
     if once or (effects and all(e.trend for e in effects)):
-        verdict = "cannot_tell"  # a name that halves do not both give, or trends alone, explain nothing
+        verdict = "cannot_tell"  # a name that parts do not give again, or trends alone, explain nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
@@ -119,11 +119,11 @@ def named_alone(alike: Sequence[tuple[NotSeparable, EffectSet, EffectSet]]) -> l
 
 
 def not_found_again(effects: Sequence[EffectFound]) -> list[str]:
-    """A sentence where halves of the recording do not both show what was found."""
+    """A sentence where parts of the recording do not show again what was found."""
     named = [f"{effect_in_words(e.name)} at {one.at}" for e in effects for one in e.found_again if not one.repeats]
     if not named:
         return []
-    return [f"halves of the recording do not both show {', '.join(named)}: the recording is not explained by what one part of it shows"]
+    return [f"parts of the recording do not show {', '.join(named)} again: it is not explained by what one part of it shows"]
 
 
 def undecided_evidence(full: ModelFit) -> list[str]:
@@ -163,7 +163,7 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided or noisy else "none"
     reported = reported_hypothesis(fit)
-    others = alternatives_to(fit, reported) if fit.significant else []
+    others = alternatives_to(fit, reported, full.everywhere) if fit.significant else []
     open_ones = frozenset[str]().union(*(reported.labels - other.labels for other, _ in others))
     shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
     if full.random and names_explain(shared):
@@ -184,13 +184,16 @@ def names_explain(effects: Sequence[EffectFound], trends: bool = False) -> bool:
 
 
 def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
-    """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
-    locations of most evidence.
+    """The effects, each with the strongest others that could stand in its place. Unmodelled effects that stand at all locations have none:
+    they stand beside each other.
     """
     fit = full.evidence
     reported = reported_hypothesis(fit)
     out = []
     for effect in effects:
+        if full.everywhere and effect.name == UNKNOWN:
+            out.append(effect)
+            continue
         found: dict[str, float] = {}
         for where in effect.where if effect.name != UNKNOWN else effect.where[:1]:
             for label in labels_of(reported, effect.name, where):
@@ -198,10 +201,6 @@ def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[Ef
                     found[other] = max(odds, found.get(other, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [Alternative.of_label(label, odds) for label, odds in best]
-        if full.everywhere and effect.name == UNKNOWN:
-            first, *others = full.cells
-            odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
-            ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
 

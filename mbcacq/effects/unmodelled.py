@@ -56,7 +56,7 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
     """The group at a location (A1.., link1.., base, mount, target, the only station) by a covariate. It is the angle of a joint, its
-    movement from the pose before, a gravity torque, the order of the poses, or the incidence on the target. None where there is none.
+    movement from the pose before, a gravity torque, the order of the poses, or the incidence on the target. None if there is none.
     """
     keys = keys_of(here, location)
     if not keys:
@@ -93,8 +93,8 @@ def unit_of(part: DescribedPart) -> str:
 
 
 def carried(groups: Sequence[EffectTerm]) -> list[EffectTerm]:
-    """Those of the groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is
-    what errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
+    """The groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is what
+    errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
     """
     return [g for g in groups if g.where[0].startswith("A") or not is_angle(g.depends_on)]
 

@@ -73,6 +73,8 @@ class CheckHistory:
         Artefacts stay between checks.
     stations : Mapping[str, Transform]
         T_base_station (4, 4) by id, as the first check found them.
+    noise : ndarray or None
+        (R, R) mm^2 of the points of a part, as the first check found it; None of balls, whose noise is that of the calibration.
     days : tuple[CheckedDay, ...]
         All checks, in order.
     usual_days : UsualChanges
@@ -86,6 +88,7 @@ class CheckHistory:
     standing: bool
     usual_days: UsualChanges
     stations: Mapping[str, Transform] = field(default_factory=dict)
+    noise: Annotated[Matrix | None, Field(alias="noise_mm2")] = None
     days: tuple[CheckedDay, ...] = ()
 
     def with_day(self, day: CheckedDay) -> CheckHistory:
@@ -102,7 +105,7 @@ class CheckHistory:
 
 
 def read_history(path: Path) -> CheckHistory | None:
-    """The history in a file; None where there is none. Raises ConfigError where it is damaged or none of ours, RecordingError where it
+    """The history in a file; None if there is none. Raises ConfigError if it is damaged or none of ours, RecordingError if it
     cannot be read."""
     try:
         text = path.read_bytes()

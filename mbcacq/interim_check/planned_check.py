@@ -48,6 +48,8 @@ class PlannedCheck:
         Rows and changes of the e-process.
     standing : bool
         Artefacts stay where they stand between checks; otherwise each is placed anew, and its place is not judged.
+    shown : ndarray
+        (R,) bool, rows that count.
     """
 
     poses: tuple[PlannedPose, ...]
@@ -58,6 +60,7 @@ class PlannedCheck:
     rows: Rows
     changes: tuple[PossibleChange, ...]
     standing: bool
+    shown: np.ndarray
 
     @property
     def keys(self) -> list[tuple[int, int]]:
@@ -68,7 +71,7 @@ class PlannedCheck:
 def planned_check(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], cell: CalibratedCell, standing: bool, days: UsualChanges
 ) -> PlannedCheck:
-    """A check by these poses. Raises ConfigError where the result is of another arm, or the plan's instrument does not ride on the arm."""
+    """A check by these poses. Raises ConfigError if the result is of another arm, or the plan's instrument does not ride on the arm."""
     refuse_other_arm("the result is of", cell.robot, cell.nominal, loaded.cell.robot, "the plan")
     if loaded.cell.measurement != ARTEFACT_IN_SCANNER:
         raise ConfigError(f"{loaded.path}: a check needs a scanner on the arm; this plan measures a target from outside")
@@ -82,7 +85,15 @@ def planned_check(
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
     found = possible_changes(obs, state, prediction, standing)
     return PlannedCheck(
-        poses=tuple(poses), cell=cell, state=state, obs=obs, prediction=prediction, rows=rows, changes=tuple(found), standing=standing
+        poses=tuple(poses),
+        cell=cell,
+        state=state,
+        obs=obs,
+        prediction=prediction,
+        rows=rows,
+        changes=tuple(found),
+        standing=standing,
+        shown=np.ones(3 * obs.n_centres, dtype=bool),
     )
 
 
@@ -110,7 +121,7 @@ def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[i
     """Numbers of the poses that notice most of what may have changed: of one station, nested by backward elimination.
 
     The criterion is the sum over all changes of log(1 + information of their usual change), as ``optimality_criteria`` has it for a design;
-    each pose's part is computed once. The artefact moves not at all within a check. Raises ConfigError where no station has enough poses.
+    each pose's part is computed once. The artefact moves not at all within a check. Raises ConfigError if no station has enough poses.
     """
     best: tuple[float, list[int]] | None = None
     for s in np.unique(check.obs.station):

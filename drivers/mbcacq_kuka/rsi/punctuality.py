@@ -1,8 +1,8 @@
 """Was a telegram held up on its way? Answers to it come too late, so that the controller has held its set point meanwhile.
 
 A controller sends one telegram a cycle. After a pause without a lost one, telegrams that come faster than that are those of the pause: the
-network, or a computer that stood still, kept them. A peer in lock-step, which sends as soon as it has its answer, also comes faster than
-its own clock, but without a pause before: it is never late.
+network, or a computer that stood still, kept them. A peer in lock-step sends as soon as it has its answer. It also comes faster than its
+own clock, but without a pause before, so it is never late.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Punctuality:
 
     @property
     def due(self) -> float:
-        """When the next telegram is expected, by the controller's clock: one that came late is no reason for the next to be late."""
+        """Time at which the next telegram is expected, by the controller's clock: a late one does not delay the next."""
         return inf if self._last is None else self._last + self._cycle_s - self._behind
 
     def held_up(self, now: float) -> bool:

@@ -118,8 +118,8 @@ class VisitChoice:
 
     @property
     def futile(self) -> bool:
-        """Whether there are sets of which none is excluded, and nothing reachable tells them apart. That there is an effect takes more than
-        the odds of a decision, so the empty set is not excluded while it is among them.
+        """Whether there are sets of which none is excluded, and nothing reachable tells them apart. An effect needs more than the odds of a
+        decision, so the empty set is not excluded while it is among them.
         """
         undecided = [pair for pair in self.open_pairs if not (pair.a and pair.b) or abs(np.log(pair.odds)) < self._options.enough]
         return bool(undecided) and all(pair.futile for pair in undecided)
@@ -193,7 +193,7 @@ class VisitChoice:
     def _best_at(
         self, name: str, before: MeasuredInformation, costs: VisitCosts, free: np.ndarray, most: int
     ) -> tuple[Visit, list[int]] | None:
-        """The best visit of a station, with the indices of its poses; None where too few poses are left."""
+        """The best visit of a station, with the indices of its poses; None if too few poses are left."""
         here = np.flatnonzero((self._names == name) & free)
         if len(here) < self._options.fewest:
             return None

@@ -47,7 +47,7 @@ from mbcacq.model.json_text import EveryKey, fields_as_json, from_document
 VERDICT_OF_BOTH = {
     "none": "no effect.",
     "explained": "effects explain what both show.",
-    "partly_explained": "effects explain a part of what both show; structure remains.",
+    "partly_explained": "named effects explain a part of what both show; the rest is unmodelled.",
     "unexplained": "there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "these data do not decide between the possible causes.",
 }
@@ -88,7 +88,7 @@ class PosesAndMotion:
 
     @classmethod
     def of_json(cls, content: Mapping[str, Any]) -> PosesAndMotion:
-        """From a diagnosis as it is written, with its ``motion``. Raises ConfigError where that is damaged."""
+        """From a diagnosis as it is written, with its ``motion``. Raises ConfigError if that is damaged."""
         beside = from_document(BothInFile, content, READABLE, "the diagnosis", "diagnosis", CURE)
         if beside.motion is None:
             raise ConfigError("the diagnosis is of poses alone; diagnose a run that recorded the motion between them")
@@ -128,7 +128,7 @@ class PosesAndMotion:
     def agreement(self) -> list[ParameterAgreement]:
         """Every parameter that both found.
 
-        Where the poses were searched with what the motion states, the values over all joint sets that are not excluded are compared.
+        If the poses were searched with the motion's values, the values over all joint sets that are not excluded are compared.
         """
         out = []
         for effect in self.beside_motion:
@@ -194,7 +194,7 @@ class PosesAndMotion:
         return [found for pair in pairs if (found := self._named(pair)) is not None]
 
     def _named(self, pair: NotSeparable) -> DecidedPair | None:
-        """What is named of effects that one diagnosis cannot tell apart; None where that is not exactly one."""
+        """What is named of effects that one diagnosis cannot tell apart; None if that is not exactly one."""
         diagnosis, by = (self.poses, "poses") if pair in self.motion.not_separable else (self.motion, "motion")
         found = diagnosis.effects if by == "poses" else self.motion.named_effects
         named = named_side(pair, labels_of((e.name, e.where) for e in found))

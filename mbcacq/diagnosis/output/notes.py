@@ -88,7 +88,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         *other_covariates(full.evidence, reported),
         *(
             f"a general function at {at} predicts better than the names there ({odds_in_words(float(np.exp(min(log, MOST_LOG_ODDS))))}): "
-            "they are no more than near to what happens"
+            "they only come near to what happens"
             for at, log in better_in_general(full.evidence, reported).items()
         ),
         *partial_periods(setup, full),
@@ -116,7 +116,7 @@ def other_covariates(fit: EvidenceFit, reported: Hypothesis) -> list[str]:
 
 
 def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
-    """One sentence where the estimated noise is not what is stated of the instrument; None where it is, or where nothing is stated."""
+    """One sentence where the estimated noise is not what is stated of the instrument; None if it is, or where nothing is stated."""
     linear = full.geometry_only.linear
     if linear.obs.cell.noise_mm is None or linear.obs.noise_scale is not None:
         return None  # one figure would be wrong wherever it is stated

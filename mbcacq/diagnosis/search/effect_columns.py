@@ -71,9 +71,9 @@ class PoseFunctions:
 class AngleNodes:
     """An angle x (P,) at which orders (H,), in ascending order, are summed over poses.
 
-    Where there are many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it, and
-    the sums are taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). The sum of
-    each order is divided by the spectrum of the window.
+    With many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it, and the sums are
+    taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). The sum of each order is
+    divided by the spectrum of the window.
     """
 
     def __init__(self, x: np.ndarray, orders: np.ndarray):
@@ -141,7 +141,7 @@ def window_spectrum(phase: np.ndarray) -> np.ndarray:
 
 
 def angle_of_harmonics(columns: Sequence[Column]) -> str | None:
-    """The covariate of which columns are the sine and the cosine; None where they are something else."""
+    """The covariate of which columns are the sine and the cosine; None if they are something else."""
     products = [product for column in columns for product in column]
     plain = all(np.ndim(p.factor) == 0 and p.factor == 1.0 and len(p.functions) == 1 for p in products)
     if len(columns) != 2 or len(products) != 2 or not plain:

@@ -40,7 +40,7 @@ class RepeatedSearch:
 
     @classmethod
     def halves(cls, problem: DiagnosisProblem, pool: WorkerPool) -> RepeatedSearch:
-        """The search of each of two halves by blocks of the order of measurement: what one is searched in, the other has no part in."""
+        """The search of each of two halves, made of blocks of the order of measurement. No block is in both halves."""
         return cls._begun(problem, blocks(problem.linear.obs, 2), "block", pool, True)
 
     @classmethod
@@ -148,8 +148,8 @@ def evaluated_fold(
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. If there is one station, or if that
-    leaves nothing of one of several recordings, each recording is cut into blocks of its order of measurement.
+    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. Each recording is cut into blocks of its
+    order of measurement if there is one station, or if nothing would be left of one of several recordings.
     """
     obs = linear.obs
     stations = np.unique(obs.station)

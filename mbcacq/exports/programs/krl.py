@@ -36,7 +36,7 @@ class _KrlStatements(Statements):
         uses = self.uses[variable]
         if self.by_name and not uses.otherwise:
             uses.absolute.append(0)
-            return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "is a target of no known program, by its name")
+            return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "no known program has a target of this name")
         return uses.reason(variable)
 
     def _line(self, number: int, at: int, code: str) -> None:
@@ -136,7 +136,7 @@ class _KrlStatements(Statements):
 
 
 def _no_joint_target(aggregate: Any, fields: Mapping[str, Any], wanted: Sequence[str]) -> str:
-    """Why an aggregate is not the angles of all axes, '' where it is; ``OTHER`` for one that has nothing to do with axes."""
+    """Why an aggregate is not the angles of all axes, '' if it is; ``OTHER`` for one that has nothing to do with axes."""
     named = [str(f.children[0]).split()[0].lower() for f in aggregate.children if f.data == "field"]
     if len(set(named)) < len(named) and set(wanted) & set(named):
         return "has the angle of an axis twice"
