@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
 from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
@@ -50,18 +49,12 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
 
 
 @contextmanager
-def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Iterator[Stand]:
+def kuka_rsi(trace: Trace | None = None, **krc: Any) -> Iterator[Stand]:
     note = trace.note if trace else (lambda *_: None)
     with ExitStack() as stack:
         port = free_port()
         proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi", note), ("127.0.0.1", port)))}
         given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 2.0}
-        if eki:
-            server = stack.enter_context(FakeEki(model="#KR16R2010_2 C4 FLR"))
-            link = TcpProxy(Channel("eki", note), ("127.0.0.1", server.port), cut=XML, cut_driver=ended(b"</External>"))
-            proxies["eki"] = stack.enter_context(link)
-            given["eki"] = f"127.0.0.1:{link.port}"
-            krc["sen_type"] = "KROSHU"  # as KUKA's own RSI programs have it
         fake = stack.enter_context(
             FakeKrc(
                 client=proxies["rsi"].address,
@@ -88,7 +81,6 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             make=make,
             use=use,
             proxies=proxies,
-            wrong=(lambda: make("KR 210 R2700-2")) if eki else None,
             begin=begin,
             at_rest=lambda: fake.state.read().standstill,
             short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},

@@ -35,7 +35,6 @@ QUICK = {
     "simulated",
     "simulated scanner",
     "gocator",
-    "kuka_rsi with EKI",
     "kuka_eki",
     "modbus positioner",
     "opcua",
@@ -43,7 +42,7 @@ QUICK = {
 }
 
 
-SWITCHES = {"kuka_rsi with EKI", "kuka_eki", "ur_rtde"}
+SWITCHES = {"kuka_rsi", "kuka_eki", "ur_rtde"}
 REPORTS_FACTS = {"ur_rtde", "opcua", "kuka_eki", "gocator", "gopxl", "modbus positioner", "serial positioner"}
 
 

@@ -76,3 +76,10 @@ def test_lost_answers_counted_both_ways(cell, counting, late_limit, kind):
         assert isinstance(error, kind)
         assert wait(lambda: krc.state.read().standstill)
         assert np.degrees(krc.state.read().q[0]) < 99.0
+
+
+def test_external_axes_are_recorded_where_they_are_sent(cell):
+    _, robot = cell({"layout": "sdk", "external_deg": (1.0, -2.0, 3.0, 4.5, 0.0, 6.0)})
+    columns = robot.cycles().columns
+    np.testing.assert_allclose(columns["external_axes"], np.tile([1.0, -2.0, 3.0, 4.5, 0.0, 6.0], (len(columns["ipoc"]), 1)))
+    assert "external_axes" in {field.name for field in robot.describe().fields}

@@ -146,7 +146,7 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     except (TypeError, ValueError) as error:
         raise ConfigError(f"fake.robot: {error}; correct the plan") from error
     krc.start()
-    return krc, {"bind": client[0], "port": client[1], "controller_ip": "", "eki": ""}  # nor may a dry run speak to the real controller
+    return krc, {"bind": client[0], "port": client[1], "controller_ip": ""}
 
 
 def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:
