@@ -38,7 +38,7 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
-        given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
+        given = {"address": "127.0.0.1", **ports, **more}
         short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: Gocator) -> None:

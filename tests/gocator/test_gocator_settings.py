@@ -42,7 +42,7 @@ def test_they_stay_where_the_plan_says_so(fake, driver):
 )
 def test_they_are_put_back_after_a_fault_too(fake, driver, fault, value):
     found = live(fake)
-    with driver(job="other", timeout_s=0.5, reply_limit_s=0.5, retries=0) as scanner:
+    with driver(job="other", timeout_s=0.5, reply_limit_s=0.5) as scanner:
         scanner.capture(2750)
         fake.faults.set(fault, value)
         with pytest.raises((ConnectError, DeviceTimeout, ProtocolError)):

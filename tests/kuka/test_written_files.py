@@ -1,7 +1,6 @@
 """``mbcacq controller-files``: the plan's numbers stand in the files, and the files are what the driver and the fake work with."""
 
 import re
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np

@@ -119,7 +119,7 @@ def test_a_driven_cell_shows_the_truth():
 def test_mishaps_and_scanner_faults_reach_the_running_cell():
     plan, poses = loaded()
     with FakeCell(plan, poses) as cell:
-        robot, scanner = drivers(cell, plan.plan, timeout_s=3.0, retries=0)
+        robot, scanner = drivers(cell, plan.plan, timeout_s=3.0)
         with robot, scanner:
             go(robot, poses[0].q)
             full = len(scanner.capture().points)
