@@ -11,7 +11,7 @@ from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
+from mbcacq.conformance import Channel, Stand, TcpProxy, counted
 
 
 def tilted_plane() -> ScannerFrame:
@@ -22,10 +22,9 @@ def tilted_plane() -> ScannerFrame:
 
 
 @contextmanager
-def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
+def gocator(**more: Any) -> Iterator[Stand]:
     """Every scan is of another plane, so that an old one cannot pass for a new one."""
     plane, asked = tilted_plane(), []
-    note = trace.note if trace else (lambda *_: None)
 
     def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
@@ -34,7 +33,7 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1)))
         proxies = {
-            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}

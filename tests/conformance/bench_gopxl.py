@@ -12,14 +12,13 @@ from mbcacq_fakes.protocols.gopxl import FakeGoPxL
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.gopxl.driver import GoPxL
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
+from mbcacq.conformance import Channel, Stand, TcpProxy, counted
 
 
 @contextmanager
-def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
+def gopxl(**more: Any) -> Iterator[Stand]:
     """Every scan is of another plane, so that an old one cannot pass for a new one."""
     plane, asked = tilted_plane(), []
-    note = trace.note if trace else (lambda *_: None)
 
     def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
@@ -28,7 +27,7 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGoPxL(source))
         proxies = {
-            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}

@@ -15,7 +15,7 @@ from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, UdpProxy, ended
+from mbcacq.conformance import Channel, Stand, TcpProxy, UdpProxy, ended
 from mbcacq.devices import MotionLimits
 
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
@@ -49,11 +49,10 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
 
 
 @contextmanager
-def kuka_rsi(trace: Trace | None = None, **krc: Any) -> Iterator[Stand]:
-    note = trace.note if trace else (lambda *_: None)
+def kuka_rsi(**krc: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         port = free_port()
-        proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi", note), ("127.0.0.1", port)))}
+        proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi"), ("127.0.0.1", port)))}
         given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 2.0}
         fake = stack.enter_context(
             FakeKrc(
@@ -90,9 +89,9 @@ def kuka_rsi(trace: Trace | None = None, **krc: Any) -> Iterator[Stand]:
 
 
 @contextmanager
-def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
+def kuka_eki() -> Iterator[Stand]:
     """The programs that are shipped, run by a fake controller."""
-    note, folder = trace.note if trace else (lambda *_: None), files("mbcacq_kuka") / "controller"
+    folder = files("mbcacq_kuka") / "controller"
     sources = {name: (folder / "eki_kss" / name).read_text() for name in ("mbcacq_eki.dat", "mbcacq_eki.src", "mbcacq_link.src")}
     sources["mbcacq_eki.dat"] = sources["mbcacq_eki.dat"].replace("mb_out[1]=0", f"mb_out[1]={OUTPUT}")
     with ExitStack() as stack:
@@ -101,7 +100,7 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
                 sources=sources, channel=(folder / "eki_kss" / "mbcacq_eki.xml").read_text(), start_deg=tuple(EKI_HOME_DEG), realtime=False
             )
         )
-        proxy = stack.enter_context(TcpProxy(Channel("eki", note), ("127.0.0.1", fake.port), cut=XML, cut_driver=ended(b"</Command>")))
+        proxy = stack.enter_context(TcpProxy(Channel("eki"), ("127.0.0.1", fake.port), cut=XML, cut_driver=ended(b"</Command>")))
         given = {
             "address": "127.0.0.1",
             "port": proxy.port,
