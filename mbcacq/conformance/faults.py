@@ -69,14 +69,14 @@ def ended(by: bytes) -> Cut:
 
 
 class Channel:
-    """One link's messages of both senders: counted, and changed by the fault that is set.
+    """One link's messages of both senders: counted, noted as they come, and changed by the fault that is set.
 
     ``pass_on`` gives what is to be done in order: bytes to send, seconds to wait, or CLOSE. ``connection`` is which of the link's
     connections a message came by: what is held to be joined goes to no other one, though several are open while an old one ends.
     """
 
-    def __init__(self, name: str, seed: int = 0) -> None:
-        self.name = name
+    def __init__(self, name: str, note: Callable[[str, str, bytes], None] = lambda *_: None, seed: int = 0) -> None:
+        self.name, self._note = name, note
         self.fault: Fault | None = None
         self.struck = 0
         self.count: dict[str, int] = {DEVICE: 0, DRIVER: 0}
@@ -95,6 +95,7 @@ class Channel:
 
     def pass_on(self, sender: str, message: bytes, connection: object = None) -> list[object]:
         with self._lock:
+            self._note(self.name, sender, message)
             number = self.count[sender]
             self.count[sender] += 1
             fault, held = self.fault, self._held.pop((sender, connection), b"")

@@ -75,3 +75,4 @@ class TimedArm:
             raise ValueError("no motion within these limits")
         self._motion, self._since, self.still_s = motion, 0.0, 0.0
         self.target = np.array(motion.at_time(motion.duration)[0])
+        self.publish()

@@ -20,7 +20,9 @@ def frame(values: Sequence[float]) -> np.ndarray:
 
 def angles(T: np.ndarray) -> tuple[float, ...]:
     """(4, 4) -> X, Y, Z, A, B, C."""
-    return (*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_euler("ZYX", degrees=True).tolist())
+    R = T[:3, :3]
+    turned = np.degrees([np.arctan2(R[1, 0], R[0, 0]), np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0])), np.arctan2(R[2, 1], R[2, 2])])
+    return (*T[:3, 3].tolist(), *turned.tolist())
 
 
 class Path:
