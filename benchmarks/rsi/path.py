@@ -96,8 +96,8 @@ class Controller:
 
 @dataclass(frozen=True)
 class Found:
-    """speed, acceleration, jerk: largest, in shares of their limits, but for what a hold is by itself; disturbances: how many; after: largest
-    step (deg) once the arm must stand; travel: largest way (deg) of an arm whose controller adds up; fault: kind of it, or ''."""
+    """speed, acceleration, jerk: largest, in shares of their limits, but for what a hold is by itself; disturbances: how many; after:
+    largest step (deg) once the arm must stand; travel: largest way (deg) of an arm whose controller adds up; fault: kind of it, or ''."""
 
     speed: float
     acceleration: float

@@ -162,5 +162,5 @@ def serial_positioner() -> Iterator[Stand]:
             begin,
             lambda: lift.arrived,
             HASTY,
-            facts={"in position": None},
+            facts={"in position": lambda: setattr(lift, "stuck", True)},
         )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
+from mbcacq_fakes.protocols.gocator.files import EXPOSURE
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
@@ -52,6 +54,16 @@ def gocator(**more: Any) -> Iterator[Stand]:
             sensor.faults.set("no_data", times=1)
             scanner.capture()
 
+        number = sensor.files.number
+
+        def longer(path: str) -> float:
+            return number(path) * (1.5 if path == EXPOSURE else 1.0)
+
+        def replaced(what: str, value: object) -> None:
+            setattr(sensor.state, what, value)
+            for proxy in proxies.values():
+                proxy.cut()
+
         yield Stand(
             lambda **o: Gocator("front", "3210", {**given, **o}),
             use,
@@ -60,9 +72,9 @@ def gocator(**more: Any) -> Iterator[Stand]:
             begin,
             short_limits=short_limits,
             facts={
+                "serial number": lambda: replaced("options", replace(sensor.options, serial=54321)),
+                "firmware": lambda: replaced("firmware", (6, 1, 99, 0)),
                 "job": lambda: setattr(sensor.files, "loaded_job", "other.job"),
-                "exposure": None,
-                "serial number": None,
-                "firmware": None,
+                "exposure": lambda: setattr(sensor.files, "number", longer),
             },
         )

@@ -46,6 +46,15 @@ def gopxl(**more: Any) -> Iterator[Stand]:
             sensor.faults.set("no_data", times=1)
             scanner.capture()
 
+        def longer(exposure_us: float) -> ScannerFrame:
+            sensor.resources.sensor["exposureSettings"]["singleExposure"] = 1.5 * exposure_us
+            return source(exposure_us)
+
+        def replaced(what: str, value: object) -> None:
+            setattr(sensor.resources, what, value)
+            for proxy in proxies.values():
+                proxy.cut()
+
         yield Stand(
             lambda **o: GoPxL("scanner", "3504", {**given, **o}),
             use,
@@ -54,9 +63,9 @@ def gopxl(**more: Any) -> Iterator[Stand]:
             begin,
             short_limits=short_limits,
             facts={
+                "serial number": lambda: replaced("serial", "54321"),
+                "firmware": lambda: replaced("api", "1.1.0"),
                 "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
-                "exposure": None,
-                "serial number": None,
-                "firmware": None,
+                "exposure": lambda: setattr(sensor, "source", longer),
             },
         )

@@ -20,7 +20,6 @@ from mbcacq_kuka.rsi.plausibility import proof_fault
 from mbcacq_kuka.rsi.shared import RsiCommand
 from mbcacq_kuka.rsi.step_limits import StepLimits
 
-
 MOST_DOUBTS = 200  # of a motion: each takes a tenth of a second, and more of them are no network that can be worked with
 
 
