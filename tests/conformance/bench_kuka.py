@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
@@ -83,7 +82,7 @@ def kuka_rsi(**krc: Any) -> Iterator[Stand]:
             begin=begin,
             at_rest=lambda: fake.state.read().standstill,
             short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},
-            ready=lambda: not fake.counters()["active"],
+            ready=lambda: not fake.report()["active"],
             output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
         )
 

@@ -69,8 +69,8 @@ def test_lost_answers_counted_both_ways(cell, counting, late_limit, kind):
     robot.move_to(np.radians(HOME_DEG + [100.0, 0, 0, 0, 0, 0]), motion_limits())
     if kind is None:
         np.testing.assert_allclose(np.degrees(arrive(robot).q[0]), 100.0, atol=0.02)
-        assert krc.counters()["late"] > 12
-        assert krc.counters()["sessions"] == 1
+        assert krc.report()["late"] > 12
+        assert krc.report()["sessions"] == 1
     else:
         error = until_error(robot)
         assert isinstance(error, kind)

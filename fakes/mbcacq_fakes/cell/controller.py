@@ -16,9 +16,8 @@ from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.cell.simulated_robot import LedTarget
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 from mbcacq_fakes.protocols.stall import HANGING_S
 

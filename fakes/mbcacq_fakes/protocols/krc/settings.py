@@ -16,7 +16,7 @@ PROFILES = {
 }
 
 ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
-COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump")
+COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump", "stop")
 JUMP_DEG = 30.0
 FAULTS = (
     "silence",  # no telegram leaves the controller
