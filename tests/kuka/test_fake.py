@@ -207,7 +207,7 @@ def test_the_controller_stops_by_itself(start, settings, bodies, fault):
         if krc.state.read().fault:
             break
     assert wait(lambda: krc.state.read().fault) == fault
-    wait(lambda: krc.report()["sessions"] == 2)
+    wait(lambda: krc.report()["sessions"] >= 2)
     data, _, delay = client.receive()  # offered again, with a new start
     assert (axis(data), delay) == (axis(data, element=b"ASPos"), 0)
 
@@ -216,7 +216,7 @@ def test_stop_ends_the_session(start):
     krc, client = start()
     client.begin(krc)
     client.exchange(b"<Stop>1</Stop>")
-    wait(lambda: krc.report()["sessions"] == 2)
+    wait(lambda: krc.report()["sessions"] >= 2)
     assert krc.state.read().fault == ""
 
 
