@@ -3,7 +3,7 @@
 They advance by one an answered telegram. None is sent before it was seen to be within the axes' limits, and no motion begins before the
 controller was seen to take corrections as absolute.
 
-Where a telegram is missing, or the controller counts an answer as late, nobody knows whether it has the last set point or the one before.
+If a telegram is missing, or the controller counts an answer as late, nobody knows whether it has the last set point or the one before.
 Nothing is inferred from its count: the answers carry no correction, so that it holds what it has, until the arm is seen to stand at one of
 the two. The motion goes on from there, from rest. So no two set points of the controller differ by more than the limits allow, whatever it
 counts; but for the hold itself.
