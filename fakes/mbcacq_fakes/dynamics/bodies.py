@@ -6,10 +6,9 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.world.arm import X, Y, Z
-from mbcacq_fakes.world.rigid import rigid, rotation_about
 
 GRAVITY = 9.80665
 
@@ -53,8 +52,8 @@ def _xml(sign, rows, mass, com, payload, gravity) -> str:
     parts, close = [], []
     frame = np.eye(4)  # where the previous link's own frame lies in its body
     for i, (theta, d, a, alpha, beta) in enumerate(np.asarray(rows, dtype=float)):
-        start = frame @ rigid(rotation_about(Z, theta), np.zeros(3))
-        after = rigid(rotation_about(X, alpha) @ rotation_about(Y, beta), np.array([a, 0.0, d]) * 1e-3)
+        start = frame @ _rigid("Z", theta, np.zeros(3))
+        after = _rigid("XY", (alpha, beta), np.array([a, 0.0, d]) * 1e-3)
         size = np.maximum(np.abs([a, 0.0, d]) / 1000, 0.12)
         bodies = _mass(mass[i], after, np.asarray(com[i]) * 1e-3, size, f"link{i + 1}")
         if i == len(rows) - 1 and payload[0] > 0:
@@ -88,7 +87,12 @@ def _v(values) -> str:
     return " ".join(f"{v:.17g}" for v in np.asarray(values, dtype=float))
 
 
-def _quat(R: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
+def _rigid(axes: str, angles: Any, xyz: np.ndarray) -> np.ndarray:
+    """Turned about its own axes, one after the other, at xyz."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler(axes, angles).as_matrix(), xyz
+    return T
 
+
+def _quat(R: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(R).as_quat(scalar_first=True)
