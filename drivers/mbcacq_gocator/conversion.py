@@ -85,8 +85,8 @@ def _with_loop(
     points, pixel = np.empty((pixels, 3), np.float32), np.empty(pixels, np.int32)
     given, made = (array.ctypes.data for array in (scale, offset)), (points.ctypes.data, pixel.ctypes.data)
     if grid:
-        x, y = (values.ctypes.data for values in grid)
-        loop.height_points(raw.ctypes.data, *raw.shape, pixels, x, y, scale[2], offset[2], *made)
+        places = (values.ctypes.data for values in grid)
+        loop.height_points(raw.ctypes.data, *raw.shape, pixels, *places, scale[2], offset[2], *made)
         return points, pixel
     count = loop.cloud_points(raw.ctypes.data, pixels, every, *given, *made)
     return points[:count], pixel[:count]

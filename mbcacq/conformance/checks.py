@@ -179,8 +179,8 @@ def _changes(bench: DriverBench, stand: Stand, driver: Any, first: Fact) -> None
         bounded("use", lambda: stand.use(driver), bench.limit_s)
     eventually(lambda: bool(run.look() or seen), bench.limit_s, f"'{first.name}' was changed, and facts() is {driver.facts()}")
     before, now = first.text, run.values[f"{bench.kind} {first.name}"]
-    told = [event.text for event in seen if isinstance(event, Message)]
-    demand(any(before in text and now in text for text in told), f"no text names '{before}' and '{now}' of '{first.name}': {told}")
+    texts = [event.text for event in seen if isinstance(event, Message)]
+    demand(any(before in text and now in text for text in texts), f"no text names '{before}' and '{now}' of '{first.name}': {texts}")
     recorded = [(event.name, event.before, event.now) for event in seen if isinstance(event, FactChanged)]
     demand((first.name, before, now) in recorded, f"the change of '{first.name}' to '{now}' is not in the recording: {recorded}")
     strange = [run.since_mark()]

@@ -88,7 +88,7 @@ class ControllerProcess(Started):
                 raise RuntimeError("the fake controller's process has ended") from None
 
 
-class Controller(ABC):
+class KukaController(ABC):
     """What runs in the process. ``faults`` and ``led`` change while it runs; ``led`` is where a person moves the arm, deg, or None."""
 
     port: int
@@ -119,7 +119,7 @@ class Controller(ABC):
         return {"log": b64encode(self.log()).decode()} if "log" in command else self.report()
 
 
-def serve(make: Callable[[dict[str, Any], ArmState], Controller]) -> int:
+def serve(make: Callable[[dict[str, Any], ArmState], KukaController]) -> int:
     """Main of the process. make: the controller, of its settings and the state that it publishes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not (line := sys.stdin.readline()):

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.controller_process import Controller, serve
+from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
 from mbcacq_fakes.protocols.krc.eki_channel import EkiChannel
 from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_fakes.protocols.krc.eki_functions import EkiFunctions
@@ -24,7 +24,7 @@ _IDLE_S = 1.0  # fast: after standing so long the clock is everybody's
 _SOFT_LIMIT, _OPERATOR = 5, 1  # indices into arm_state.FAULTS
 
 
-class EkiController(Controller):
+class EkiController(KukaController):
     """``tick`` is 4 ms of the robot's time."""
 
     def __init__(self, settings: EkiSettings, state: ArmState | None = None) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.controller_process import Controller, serve
+from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
 from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.session import OPERATOR, PC_STOP, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, FAULTS, JUMP_DEG, KrcSettings
@@ -32,7 +32,7 @@ def _zero() -> Sequence[float]:
     return (0.0,) * 6
 
 
-class RsiController(Controller):
+class RsiController(KukaController):
     """``cycle`` is one sensor cycle: move the arm, send, wait for the answer, count."""
 
     def __init__(self, settings: KrcSettings, state: ArmState) -> None:
