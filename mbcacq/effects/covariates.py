@@ -18,6 +18,7 @@ from mbcacq.effects.effect import Missing
 from mbcacq.effects.functions import INCIDENCE, SIGHT
 from mbcacq.geometry import gravity, se3
 from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import from_degrees
 
@@ -279,15 +280,10 @@ class Covariates:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
         return self.computed_once(("value", name), lambda: self._value(name))
 
-    def computed_once(self, key: tuple[str, ...], compute: Callable[[], Any]) -> Any:
-        """What a function returns, computed when first asked for under this key: a hundred groups are functions of one covariate."""
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]
-
     @cached_property
-    def _known(self) -> dict[tuple[str, ...], Any]:
-        return {}
+    def computed_once(self) -> ComputedOnce:
+        """What was computed of the recording: a hundred groups are functions of one covariate."""
+        return ComputedOnce()
 
     def _value(self, name: str) -> np.ndarray:
         obs = self.obs
