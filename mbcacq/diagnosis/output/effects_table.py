@@ -158,8 +158,8 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
 
     if full.everywhere:
         first = full.cells[0]
-        repeated = [key for key in ranked if (label := group_label(*key)) not in again or again[label].repeats]
-        stated = [key for key in repeated if size[key].value > K * size[key].std] or ranked[:1]
+        spread = {key: again[label].size_spread * size[key].value for key in ranked if (label := group_label(*key)) in again}
+        stated = [key for key in ranked if size[key].value > K * max(size[key].std, spread.get(key, 0.0))] or ranked[:1]
         gain, columns = validation.unmodelled_gain, contributions.unmodelled
         entry(first.location, first.depends_on, stated[:MOST_GROUPS], first.log_bayes_factor, gain, columns)
         return out
