@@ -119,8 +119,7 @@ class Solution:
         for at in (self,) if self.step is None else (self, self.step.start):
             at.poses.forget(columns_too)
             vars(at).pop("whitening", None)
-            if columns_too:
-                vars(at.there).pop("prediction", None)
+            vars(at.there).pop("prediction", None)
 
     def reweighted(self, noise: Noise, weights: Weights) -> Solution:
         """The system with other noise or weights, at the estimate where the residual was evaluated."""
