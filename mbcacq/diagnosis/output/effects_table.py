@@ -140,14 +140,14 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     if not full.random:
         return []
     size = displacements(full)
-    ranked = sorted(size, key=lambda key: -size[key].value)
+    ranked = sorted(size, key=lambda key: -size[key][0])
     out = list[Ranked]()
 
     def entry(at: str, on: str, stated: list[tuple[str, str]], log_bayes_factor: float, gain: float, columns: list[int]) -> None:
         effect = EffectFound(
             name=UNKNOWN,
             where=(at,),
-            parameters={f"{at}({on}).rms_mm": size[at, on] for at, on in stated},
+            parameters={f"{at}({on}).rms_mm": ParameterEstimate(*size[at, on]) for at, on in stated},
             p_value=_bayes_p(log_bayes_factor),
             held_out_gain=gain,
             held_out_gain_std=validation.gain_std(gain),
@@ -158,8 +158,8 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
 
     if full.everywhere:
         first = full.cells[0]
-        spread = {key: again[label].size_spread * size[key].value for key in ranked if (label := group_label(*key)) in again}
-        stated = [key for key in ranked if size[key].value > K * max(size[key].std, spread.get(key, 0.0))] or ranked[:1]
+        spread = {key: again[label].size_spread * size[key][0] for key in ranked if (label := group_label(*key)) in again}
+        stated = [key for key in ranked if size[key][0] > K * max(size[key][1], spread.get(key, 0.0))] or ranked[:1]
         gain, columns = validation.unmodelled_gain, contributions.unmodelled
         entry(first.location, first.depends_on, stated[:MOST_GROUPS], first.log_bayes_factor, gain, columns)
         return out
@@ -175,9 +175,9 @@ def _bayes_p(log_bayes_factor: float) -> float:
     return max(float(np.exp(-max(log_bayes_factor, 0.0))), SMALLEST_P)
 
 
-def displacements(full: ModelFit) -> dict[tuple[str, str], ParameterEstimate]:
-    """(location, covariate) -> how much of what the unmodelled effects there do neither geometry nor named effects compensate, as 3D rms
-    (mm) of the kept centres.
+def displacements(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
+    """(location, covariate) -> how much of what the unmodelled effects there do neither geometry nor named effects compensate: 3D rms
+    (mm) of the kept centres, and its standard deviation.
 
     It is at most what these leave of the misfit: beyond that, unmodelled effects compensate each other.
     """
@@ -196,7 +196,7 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], ParameterEstimate]:
         moved[~linear.keep], moved[:, 3:] = 0.0, 0.0
         size = rms_of(moved[linear.keep, :3])
         slope = np.concatenate(named.slopes(parts, moved)) / (np.sum(linear.keep) * max(size, 1e-12))
-        out[key] = ParameterEstimate(min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope)))
+        out[key] = min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope))
     return out
 
 
