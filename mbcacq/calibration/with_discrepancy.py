@@ -43,6 +43,7 @@ Kind = Callable[[Covariates], list[EffectTerm]]
 FURTHER: tuple[Kind, ...] = (discrepancy.structure, discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
 CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
 FASTEST_MESH, MOST_MESHES = 160.0, 6  # periods a turn of a joint: teeth of its last wheel
+ALIAS = 0.9  # of the window: orders so far apart look alike at the angles of a grid, and the slower one is no mesh
 LEAST_GAIN_OF_MESH = 13.0  # as LEAST_GAIN, for the best of three thousand orders of all joints
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
@@ -165,9 +166,11 @@ def _strongest_order(groups: _Groups) -> tuple[float, int, float]:
     found = 0.0, 0, 0.0
     for j in range(q.shape[1]):
         step = np.pi / 2 / max(float(np.ptp(q[:, j])), np.pi / 2)  # a quarter of the distance of orders that can be told apart
-        orders, best = np.arange(discrepancy.OPTIONS.fastest + 1.0, FASTEST_MESH, step), 0.0
-        power = np.zeros(1)
-        for _ in range(2):
+        shifts = np.arange(8 * step, 2 * FASTEST_MESH, step)
+        alike = shifts[np.abs(np.exp(1j * np.outer(shifts, q[:, j])).mean(axis=1)) > ALIAS]
+        orders = np.arange(discrepancy.OPTIONS.fastest + 1.0, min(alike.min(initial=np.inf) / 2, FASTEST_MESH), step)
+        power, best = np.zeros(1), 0.0
+        for _ in range(2 if len(orders) else 0):
             power = np.abs(np.exp(1j * np.outer(orders, q[:, j])) @ error[:, j]) ** 2 / max(float(error[:, j] @ error[:, j]), 1e-300)
             best = float(orders[power.argmax()])
             orders = np.linspace(best - step, best + step, 33)
