@@ -42,9 +42,9 @@ EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the mode
 Kind = Callable[[Covariates], list[EffectTerm]]
 FURTHER: tuple[Kind, ...] = (discrepancy.structure, discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
 CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
-FASTEST_MESH, MOST_MESHES = 160.0, 6  # periods a turn of a joint: teeth of its last wheel
+FASTEST_MESH, MOST_MESHES = 330.0, 6  # periods a turn of a joint: twice in each turn of a strain wave of a ratio of 160
 ALIAS = 0.9  # of the window: orders so far apart look alike at the angles of a grid, and the slower one is no mesh
-LEAST_GAIN_OF_MESH = 13.0  # as LEAST_GAIN, for the best of three thousand orders of all joints
+LEAST_GAIN_OF_MESH = 14.0  # as LEAST_GAIN, for the best of ten thousand orders of all joints
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
