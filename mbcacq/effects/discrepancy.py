@@ -79,8 +79,8 @@ def gear_stages(here: Covariates) -> list[EffectTerm]:
 
 
 def mesh(here: Covariates, j: int, order: float) -> EffectTerm:
-    """The group of joint j by one order of its own angle, and by the derivative of that by the order, which is not exactly known. Of many
-    periods it is a law, which goes on beyond the visited angles."""
+    """The group of joint j by one order of its own angle, and by the derivative of that by the order, which is not exactly known. It has
+    many periods in the visited angles, and goes on beyond them."""
     name = f"q{j + 1}"
     once = sine(name, order), cosine(name, order)
     columns = (*once, *(times(_centred(here, name), column) for column in once))
