@@ -75,7 +75,7 @@ def command(
 
 
 def _lines_of(one: Mapping[str, Any]) -> list[str]:
-    """Of one cloud that was written."""
+    """What is said about one cloud that was written."""
     x, y, z = (uncertainty(1e3 * K * sigma) for sigma in one["sigma_mm"])
     middle, worst = (uncertainty(1e3 * K * one[name]) for name in ("sigma_3d_mm", "sigma_3d_worst_mm"))
     placed = f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst"
