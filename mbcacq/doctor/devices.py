@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from mbcacq.devices import ConfigError, Device, MbcacqError, Sensor
 from mbcacq.doctor.line import CheckupLine, from_error
+from mbcacq.devices.addresses import on_loopback_only
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
     from mbcacq.acquisition.cell_devices import create_devices
     from mbcacq.acquisition.device_check import device_findings
-    from mbcacq.devices.addresses import on_loopback_only
 
     impossible = [from_error("devices", ConfigError(str(found))) for found in device_findings(loaded)]
     if impossible:

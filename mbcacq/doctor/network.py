@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.doctor.line import CheckupLine
+import struct
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -74,7 +75,6 @@ def addresses() -> dict[str, str]:
     if sys.platform != "linux":
         return {}
     import fcntl
-    import struct
 
     found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

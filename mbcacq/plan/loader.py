@@ -16,6 +16,7 @@ from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, ScanPart, Sweep, Taught
+from mbcacq.files.mesh_file import read_mesh
 
 PLAN_FORMAT = "mbcacq-plan/1"
 SMALLEST_PART_MM = 5.0
@@ -132,7 +133,6 @@ def _with_surface(source: YamlFile, spec: ArtefactSpec) -> cell.Artefact:
     model = spec.model()
     if spec.mesh is None:
         return model
-    from mbcacq.files.mesh_file import read_mesh
 
     mesh = read_mesh(source.path.parent / spec.mesh)
     box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])

@@ -19,6 +19,7 @@ from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figur
 from mbcacq.report.several import ChangesContent, FleetContent
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
+import base64
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -158,7 +159,6 @@ def curve_title(effect: str, location: str) -> str:
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:
     """Each figure as a picture of the width that it has on paper."""
-    import base64
 
     from markupsafe import Markup
 

@@ -15,9 +15,8 @@ from mbcacq.recording.run_folder.run_plan import FILES as PLAN_FILES
 from mbcacq.report.sources.check_result import read_check_result
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity
+from mbcacq.report.content import Content
 
-if TYPE_CHECKING:
-    from mbcacq.report.content import Content
 
 FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl", CHECK_RESULT, PLAN_FILES)
 MOST_KEPT = 300

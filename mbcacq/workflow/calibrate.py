@@ -27,6 +27,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 
 MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one
@@ -285,7 +286,6 @@ def calibration_content(
     Raises CalibrationError, ConfigError.
     """
     from mbcacq.calibration.cross_validation import held_out as cross_validate
-    from mbcacq.calibration.workspace_accuracy import accuracy_map
     from mbcacq.recording.run_folder.gaps import find_gaps
 
     if effects is not None and held_out is not None:

@@ -17,6 +17,8 @@ from mbcacq.workflow.cloud_session import CloudSession, Sources, paired, read_se
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan
 from mbcacq.workflow.run import Operator
+from mbcacq.recording.run_folder.latest import mark_latest
+from mbcacq.recording.run_folder.run_plan import plan_files_text
 
 CELL = "clouds collected from files"
 
@@ -113,8 +115,6 @@ def collect(
 
 def _record(found: PairedClouds, folder: Path, part: int, done: frozenset[int], operator: Operator) -> None:
     from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
-    from mbcacq.recording.run_folder.latest import mark_latest
-    from mbcacq.recording.run_folder.run_plan import plan_files_text
 
     session, collected = found.session, found.poses
     loaded = session.loaded

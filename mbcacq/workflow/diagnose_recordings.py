@@ -23,6 +23,19 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.diagnosis_document import FileRead, Provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
+from mbcacq.diagnosis.executor import cores
+from mbcacq.diagnosis.given_effects import evidence_given
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
+from mbcacq.estimation.options import CalibrationOptions
+import platform
+import numpy
+from mbcacq.version import __version__
+import hashlib
+from mbcacq.diagnosis.executor import cores
+from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
 
 Data = Observations | Trajectory | Path | str
 
@@ -42,7 +55,6 @@ class Question:
 def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.executor import cores
 
     motions = as_trajectories([one for one in data if is_trajectory(one) and not isinstance(one, Observations)])
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
@@ -64,8 +76,6 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
     """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of; what both decide is
     what is kept.
     """
-    from mbcacq.diagnosis.given_effects import evidence_given
-    from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
     if found.poses is None or found.observations is None or motion is None:
         return replace(found, motion=motion)
@@ -124,8 +134,6 @@ def checked(
 
     others: with their names.
     """
-    from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
-    from mbcacq.estimation.options import CalibrationOptions
 
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
@@ -158,11 +166,8 @@ def said(error: Exception) -> str:
 
 def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Provenance:
     """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
-    import platform
 
-    import numpy
 
-    from mbcacq.version import __version__
 
     return Provenance(
         recording=str(data) if isinstance(data, Path | str) else "",
@@ -174,7 +179,6 @@ def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Pr
 
 def _hashed(source: Path) -> list[FileRead]:
     """Name, size and SHA-256 of a recording: of the files of an observation set or the parts of a run, not of its clouds."""
-    import hashlib
 
     wanted = {".csv", ".yaml", ".rrd"}
     paths = [source] if source.is_file() else sorted(p for p in source.glob("*") if p.is_file() and p.suffix in wanted)
@@ -209,7 +213,6 @@ def diagnose_motion(
 def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.executor import cores
 
     refit = partial(fitted_model, observations) if fitted else None
     with likely_cause_named(observations):
@@ -229,9 +232,6 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
     """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
     cell with them, they stay as the diagnosis had them, and a sentence says why.
     """
-    from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
-    from mbcacq.errors import CalibrationError
-    from mbcacq.estimation.options import CalibrationOptions
 
     try:
         return effects_fitted_with_the_cell(observations, CalibrationOptions(refuse=False), model), ()

@@ -13,6 +13,8 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.diagnose_recordings import Data, Question, checked, diagnose_poses, is_trajectory, provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
+from mbcacq.calibration.calibrate import calibrate_with_effects
+from mbcacq.calibration.calibrate import calibrate
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 
@@ -79,7 +81,6 @@ def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], ho
 
 
 def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -> DiagnosisResult:
-    from mbcacq.calibration.calibrate import calibrate_with_effects
     from mbcacq.simulation.mujoco_arm import load_arm, remarks_on_masses
     from mbcacq.simulation.poses import is_written, observations_of_model, write_into_model
 
@@ -96,7 +97,6 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     if written:
         cell = calibrate_with_effects(observations, options, written)
     else:
-        from mbcacq.calibration.calibrate import calibrate
 
         cell = calibrate(observations, options)
     effects = () if found.poses is None else found.poses.effects

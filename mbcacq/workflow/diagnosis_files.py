@@ -15,6 +15,7 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis, write_diagnosis
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
+from mbcacq.effects.in_words import CHANNELS
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
@@ -31,7 +32,6 @@ def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
 
 
 def _drawn(found: MotionDiagnosis) -> MotionDrawn:
-    from mbcacq.effects.in_words import CHANNELS
     from mbcacq.report.cards import diagnosis_cards
     from mbcacq.report.sources.from_motion import motion_content
 

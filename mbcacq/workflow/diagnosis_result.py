@@ -20,10 +20,12 @@ from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from mbcacq.figure import Figure
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from datetime import datetime
+from mbcacq.version import __version__
 
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.combine import PosesAndMotion
-    from mbcacq.figure import Figure
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -78,7 +80,6 @@ class DiagnosisResult:
     @cached_property
     def both(self) -> PosesAndMotion | None:
         """Poses and motion as one problem, where there are both."""
-        from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
         return None if self.poses is None or self.motion is None else PosesAndMotion(self.poses, self.motion, self.given_motion)
 
@@ -226,9 +227,7 @@ class DiagnosisResult:
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
-        from datetime import datetime
 
-        from mbcacq.version import __version__
 
         data = (self.provenance.recording if self.provenance else None) or ""
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]

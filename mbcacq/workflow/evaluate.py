@@ -19,6 +19,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import load_observations
+from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     from mbcacq.report.content import Content
@@ -100,7 +101,6 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
-    from mbcacq.files.atomic_write import write_file
     from mbcacq.recording.run_folder.gaps import find_gaps
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.report import write_report_page

@@ -20,6 +20,7 @@ from mbcacq.workflow.evaluate import RunResult
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
 from mbcacq.workflow.run import Operator, run
+from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
 LEAST_MM, SIGMAS = 0.05, 6.0  # by which an artefact must stand elsewhere to be said to, and standard deviations
 
@@ -73,7 +74,6 @@ def extended_plan(folder: Path, further: LoadedPlan, cell: str) -> LoadedPlan:
 
     Raises ConfigError where the run is not whole, or is of another cell.
     """
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
     kept, before = read_kept_plan(folder), plan_of_recording(folder)
     refuse_change(folder, kept, before.text, before.files, cell)

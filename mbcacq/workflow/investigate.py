@@ -34,6 +34,7 @@ from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
 from mbcacq.workflow.run import Operator
+from mbcacq.recording.rrd import layout
 
 if TYPE_CHECKING:
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
@@ -124,7 +125,6 @@ class CellInvestigation:
         operator, cell = self.operator, name_of(self.dry_run, self.seed)
         poses = expand(grown)
         refuse_errors(grown, poses)
-        from mbcacq.recording.rrd import layout
 
         fresh = not layout.parts(self.folder)
         before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)

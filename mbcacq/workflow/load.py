@@ -14,6 +14,7 @@ from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording import load_observations
+from mbcacq.model.trajectory import moves
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -77,7 +78,6 @@ def recorded_moves(recording: Path) -> list[Trajectory]:
 
     Raises ConfigError where there is no recording of controller cycles.
     """
-    from mbcacq.model.trajectory import moves
     from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
     trajectory = trajectory_of_run(recording)

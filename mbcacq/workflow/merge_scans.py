@@ -22,6 +22,9 @@ from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.workflow.load import as_cell, is_run_folder
+from mbcacq.recording import load_observations
+from mbcacq.recording import load_observations
+from mbcacq.files.atomic_write import write_file
 
 VOXELS_PER_SPACING = 1.0
 DRAWN = 3000  # points of a scan
@@ -56,7 +59,6 @@ class MergedPart:
 
     def write(self, stem: Path) -> list[Path]:
         """Write STEM.json, all figures, and STEM.rrd, all of it for the viewer. Raises RecordingError."""
-        from mbcacq.files.atomic_write import write_file
         from mbcacq.recording.rrd.part_recording import PartDrawn, write_part
 
         pairs, cad = self.agreement.pairs, self.deviations
@@ -110,7 +112,6 @@ def merge_scans(
     ConfigError
         The recording holds no part, its scans do not overlap, or the result is of another arm.
     """
-    from mbcacq.recording import load_observations
 
     o = PartOptions()
     source, out = Path(source), Path(out)
@@ -152,7 +153,6 @@ def _planned_place(source: Path, station: str) -> np.ndarray:
     """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
     from mbcacq.model import yaml12
     from mbcacq.plan.schema import StationPlace
-    from mbcacq.recording import load_observations
 
     text = source / "plan.yaml"
     if text.is_file():

@@ -24,9 +24,9 @@ from mbcacq.workflow.corrected_targets import CalibratedArm, CorrectedTargets, c
 from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan, load_observations
+from mbcacq.acquisition.runner import Pause
 
 if TYPE_CHECKING:
-    from mbcacq.acquisition.runner import Pause
     from mbcacq.plan.motion_preview import Swept
 
 

@@ -19,6 +19,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.workflow.load import as_plan, as_result
+from mbcacq.plan import path
 
 
 def simulate(
@@ -64,7 +65,6 @@ def simulate_poses(
     scatter to estimate it from. Raises ConfigError where result and plan do not match.
     """
     from mbcacq.design.simulated_observations import planned_observations
-    from mbcacq.plan import path
     from mbcacq.plan.summary import summary
     from mbcacq.workflow.acquire import solver_cell
 

@@ -25,6 +25,7 @@ from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings
 from mbcacq.recording.datasets.profiles_in_motion import read_profiles_in_motion
+from mbcacq.recording.datasets import quaternions
 
 MAX_BYTES = 1 << 26
 SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples
@@ -113,7 +114,6 @@ def _matrix(values: Any) -> np.ndarray:
 
 
 def _ros_transform(content: dict[str, Any]) -> np.ndarray:
-    from mbcacq.recording.datasets import quaternions
 
     content = content.get("transform", content)
     t, r = content["translation"], content["rotation"]

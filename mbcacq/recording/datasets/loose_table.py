@@ -26,6 +26,9 @@ from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
 from mbcacq.recording.datasets.pose_columns import ANGLES, EULERS, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
+from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.model.shipped import named_file
+from mbcacq.model.yaml_source import read
 
 SUFFIXES = (".csv", ".txt", ".tsv")
 CLEARLY = 3.0  # times the misfit of the best reading, below which another is as likely
@@ -393,9 +396,6 @@ def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[Ro
 
 def robot_of(name: str) -> RobotModel:
     """The arm of the tool's of that name, or of a robot file. Raises ConfigError."""
-    from mbcacq.model.cell_schema import RobotSpec
-    from mbcacq.model.shipped import named_file
-    from mbcacq.model.yaml_source import read
     from mbcacq.recording.datasets.open_format import validate
 
     return validate(RobotSpec, read(named_file("robots", name), "robot file")).model()

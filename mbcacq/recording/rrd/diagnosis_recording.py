@@ -22,6 +22,7 @@ from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, log_motion, motion_tabs
 from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
+from mbcacq.recording.rrd.reader import open_recordings
 
 ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
 RECORDED = (235, 238, 242)
@@ -130,7 +131,6 @@ def _of_run(run: Path | None) -> tuple[dict[int, float], str | None]:
     """Run time (s) of each pose, and the recording id."""
     if run is None:
         return {}, None
-    from mbcacq.recording.rrd.reader import open_recordings
 
     recordings = open_recordings(run)
     return {int(row["pose"][0]): float(row["time_s"][0]) for r in recordings for row in r.observed()}, recordings[0].recording_id

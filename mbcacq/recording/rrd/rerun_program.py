@@ -13,6 +13,7 @@ from pathlib import Path
 from mbcacq.devices import kill
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
+import re
 
 
 def program() -> str:
@@ -71,7 +72,6 @@ def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.Comple
 
 def error_line(result: subprocess.CompletedProcess[str]) -> str:
     """The line of the output that names the error, without colours and time stamps."""
-    import re
 
     lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip() for line in (result.stderr or result.stdout or "").splitlines()]
     lines = [line for line in lines if line]

@@ -35,6 +35,7 @@ from mbcacq.report.verdict import (
     verdict_of,
 )
 from mbcacq.version import __version__
+from mbcacq.calibration.result_io import effects_of, state_from_dict
 
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
 METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
@@ -54,7 +55,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        from mbcacq.calibration.result_io import effects_of, state_from_dict
         from mbcacq.report.sources import measured
 
         used = measured.calibrated_poses(observations, result)
