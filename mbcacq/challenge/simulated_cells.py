@@ -13,8 +13,7 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.devices import load_driver
 from mbcacq.effects.support import with_drives_for
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.plan import path
+from mbcacq.plan import LoadedPlan, PlannedPose, path
 from mbcacq.plan.routing import path_home
 
 Injected = list[dict[str, Any]]

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 from mbcacq.devices import ConfigError, Device, MbcacqError, Sensor
-from mbcacq.doctor.line import CheckupLine, from_error
 from mbcacq.devices.addresses import on_loopback_only
+from mbcacq.doctor.line import CheckupLine, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan

@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import ipaddress
 import socket
+import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.doctor.line import CheckupLine
-import struct
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan

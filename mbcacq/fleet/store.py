@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file, write_files
 from mbcacq.fleet.evaluation import FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
 from mbcacq.fleet.row import FAILED, FleetRow, arrow_schema
 from mbcacq.model.json_text import damage, sealed_text, unsealed
 from mbcacq.version import __version__
-from mbcacq.files.atomic_write import write_file
-from mbcacq.files.atomic_write import write_files
 
 TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
 

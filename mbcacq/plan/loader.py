@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.files.atomic_write import finish_set
+from mbcacq.files.mesh_file import read_mesh
 from mbcacq.model import cell, shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.model.formats import newer_format
@@ -16,7 +17,6 @@ from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, ScanPart, Sweep, Taught
-from mbcacq.files.mesh_file import read_mesh
 
 PLAN_FORMAT = "mbcacq-plan/1"
 SMALLEST_PART_MM = 5.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +20,6 @@ from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figur
 from mbcacq.report.several import ChangesContent, FleetContent
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
-import base64
 
 if TYPE_CHECKING:
     from jinja2 import Environment

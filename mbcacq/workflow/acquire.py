@@ -18,23 +18,19 @@ import numpy as np
 
 from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.acquisition.event_bus import EventBus, Subscriber
-from mbcacq.acquisition.runner import Runner
+from mbcacq.acquisition.runner import Pause, Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import fields_as_json
-from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit, path
+from mbcacq.plan.routing import check_start, path_home
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
+from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
-from mbcacq.acquisition.runner import Pause
-from mbcacq.plan import path
-from mbcacq.plan.routing import path_home
-from mbcacq.recording.run_folder.run_plan import keep_plan
-from mbcacq.plan.routing import check_start
-from mbcacq.recording.run_folder.run_plan import plan_files_text
-from mbcacq.spheres import SphereOptions, find_spheres
 
 if TYPE_CHECKING:
     from mbcacq.plan.motion_preview import Swept

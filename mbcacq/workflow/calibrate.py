@@ -19,6 +19,7 @@ from mbcacq.calibration.result_io import joint_content as content_of_all
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.verification import Verification
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
@@ -27,7 +28,6 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
-from mbcacq.calibration.workspace_accuracy import accuracy_map
 
 MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one

@@ -9,7 +9,9 @@ from pathlib import Path
 from mbcacq.acquisition.collected.collected_run import CollectedPose, CollectedRun
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, expand
+from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.run_plan import plan_files_text
 from mbcacq.spheres.cloud_files import says_simulated
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, recorded, solver_cell, versions
@@ -17,8 +19,6 @@ from mbcacq.workflow.cloud_session import CloudSession, Sources, paired, read_se
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan
 from mbcacq.workflow.run import Operator
-from mbcacq.recording.run_folder.latest import mark_latest
-from mbcacq.recording.run_folder.run_plan import plan_files_text
 
 CELL = "clouds collected from files"
 

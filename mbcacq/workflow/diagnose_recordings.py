@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy
+
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects, effects_fitted_with_the_cell
 from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.diagnosis.given_effects import PosesGiven
+from mbcacq.diagnosis.executor import cores
+from mbcacq.diagnosis.given_effects import PosesGiven, evidence_given
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
@@ -20,22 +27,10 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import FileRead, Provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
-from mbcacq.diagnosis.executor import cores
-from mbcacq.diagnosis.given_effects import evidence_given
-from mbcacq.diagnosis.motion.combine import PosesAndMotion
-from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
-from mbcacq.estimation.options import CalibrationOptions
-import platform
-import numpy
-from mbcacq.version import __version__
-import hashlib
-from mbcacq.diagnosis.executor import cores
-from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
-from mbcacq.errors import CalibrationError
-from mbcacq.estimation.options import CalibrationOptions
 
 Data = Observations | Trajectory | Path | str
 
@@ -166,8 +161,6 @@ def said(error: Exception) -> str:
 
 def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Provenance:
     """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
-
-
 
     return Provenance(
         recording=str(data) if isinstance(data, Path | str) else "",

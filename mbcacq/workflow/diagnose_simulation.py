@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -13,8 +14,6 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.diagnose_recordings import Data, Question, checked, diagnose_poses, is_trajectory, provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
-from mbcacq.calibration.calibrate import calibrate_with_effects
-from mbcacq.calibration.calibrate import calibrate
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 
@@ -97,7 +96,6 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     if written:
         cell = calibrate_with_effects(observations, options, written)
     else:
-
         cell = calibrate(observations, options)
     effects = () if found.poses is None else found.poses.effects
     return replace(found, simulation=write_into_model(arm, cell, effects))

@@ -8,6 +8,7 @@ from typing import Any
 
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects.in_words import CHANNELS
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import capitalised
@@ -15,7 +16,6 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis, write_diagnosis
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
-from mbcacq.effects.in_words import CHANNELS
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 

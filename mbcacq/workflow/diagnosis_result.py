@@ -5,27 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, GivenEvidence
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
 from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
+from mbcacq.figure import Figure
 from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
-from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
-from mbcacq.diagnosis.motion.combine import PosesAndMotion
-from mbcacq.figure import Figure
-from mbcacq.diagnosis.motion.combine import PosesAndMotion
-from datetime import datetime
 from mbcacq.version import __version__
-
+from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -227,7 +225,6 @@ class DiagnosisResult:
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
-
 
         data = (self.provenance.recording if self.provenance else None) or ""
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]

@@ -14,12 +14,12 @@ from mbcacq.calibration.verification import Verification
 from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import load_observations
-from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     from mbcacq.report.content import Content

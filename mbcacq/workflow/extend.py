@@ -15,12 +15,12 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.plan.growth import grown
+from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.dry_run import name_of
 from mbcacq.workflow.evaluate import RunResult
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
 from mbcacq.workflow.run import Operator, run
-from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
 LEAST_MM, SIGMAS = 0.05, 6.0  # by which an artefact must stand elsewhere to be said to, and standard deviations
 

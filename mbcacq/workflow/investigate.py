@@ -23,6 +23,7 @@ from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
+from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.workflow import resume as resuming
@@ -34,7 +35,6 @@ from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
 from mbcacq.workflow.run import Operator
-from mbcacq.recording.rrd import layout
 
 if TYPE_CHECKING:
     from mbcacq.recording.rrd.choice_panel import WeighedPoses

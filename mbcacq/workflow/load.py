@@ -12,9 +12,8 @@ from mbcacq.calibration.result_io import read_result, split_number
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
-from mbcacq.model.trajectory import Trajectory
+from mbcacq.model.trajectory import Trajectory, moves
 from mbcacq.recording import load_observations
-from mbcacq.model.trajectory import moves
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan

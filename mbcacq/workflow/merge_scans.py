@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.observations import Observations
@@ -21,10 +22,8 @@ from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
+from mbcacq.recording import load_observations
 from mbcacq.workflow.load import as_cell, is_run_folder
-from mbcacq.recording import load_observations
-from mbcacq.recording import load_observations
-from mbcacq.files.atomic_write import write_file
 
 VOXELS_PER_SPACING = 1.0
 DRAWN = 3000  # points of a scan

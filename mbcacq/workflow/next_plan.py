@@ -15,10 +15,9 @@ from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan, load
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_plan
-from mbcacq.plan import load
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbcacq.errors import RecordingError
+from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.workflow.load import load_observations
-from mbcacq.geometry import se3
 
 if TYPE_CHECKING:
     from mbcacq.recording.run_folder.progress import Progress

@@ -17,9 +17,8 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, path, refuse_errors
 from mbcacq.workflow.load import as_plan, as_result
-from mbcacq.plan import path
 
 
 def simulate(

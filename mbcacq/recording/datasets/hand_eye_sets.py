@@ -18,6 +18,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model import yaml12
+from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.columns import groups, names_poses
 from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.length_table import read_lengths
@@ -25,7 +26,6 @@ from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings
 from mbcacq.recording.datasets.profiles_in_motion import read_profiles_in_motion
-from mbcacq.recording.datasets import quaternions
 
 MAX_BYTES = 1 << 26
 SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples

@@ -20,15 +20,15 @@ from mbcacq.files.clock import in_seconds
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
+from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.joint_resolution import computed_by_the_arm
 from mbcacq.model.observations import Observations
+from mbcacq.model.shipped import named_file
+from mbcacq.model.yaml_source import read
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
 from mbcacq.recording.datasets.pose_columns import ANGLES, EULERS, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
-from mbcacq.model.cell_schema import RobotSpec
-from mbcacq.model.shipped import named_file
-from mbcacq.model.yaml_source import read
 
 SUFFIXES = (".csv", ".txt", ".tsv")
 CLEARLY = 3.0  # times the misfit of the best reading, below which another is as likely

@@ -21,8 +21,8 @@ from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, log_motion, motion_tabs
 from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
-from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 from mbcacq.recording.rrd.reader import open_recordings
+from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
 ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
 RECORDED = (235, 238, 242)

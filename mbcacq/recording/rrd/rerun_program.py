@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -13,7 +14,6 @@ from pathlib import Path
 from mbcacq.devices import kill
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
-import re
 
 
 def program() -> str:

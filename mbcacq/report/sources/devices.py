@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.errors import MbcacqError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.journal import read_log
 from mbcacq.report.content import Devices
-from mbcacq.errors import MbcacqError
 
 MAX_GAPS = 40
 TIMING = ("time_s", "host_time_s", "delay")  # of a cycle

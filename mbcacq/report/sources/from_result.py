@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
-from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
+from mbcacq.calibration.result_io import ONE_VIEW, caveats, effects_of, noise_of_a_view, of_flange_poses, state_from_dict
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
@@ -35,7 +35,6 @@ from mbcacq.report.verdict import (
     verdict_of,
 )
 from mbcacq.version import __version__
-from mbcacq.calibration.result_io import effects_of, state_from_dict
 
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
 METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
