@@ -67,7 +67,8 @@ class TableSaid:
         """Raises ConfigError."""
         from mbcacq.errors import ConfigError
         from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
-        from mbcacq.recording.datasets.loose_table import TableOptions, robot_of
+        from mbcacq.recording.datasets.cell_yaml import robot_of
+        from mbcacq.recording.datasets.loose_table import TableOptions
 
         if wrong := [text for text in self.columns if "=" not in text]:
             raise ConfigError(f"--column {wrong[0]}: give OURS=FILE, such as time_s=Time")
@@ -105,8 +106,8 @@ class BoardSaid:
         """The set of images. Raises ConfigError where something must be said of the board."""
         from mbcacq.camera.board import board_of
         from mbcacq.errors import ConfigError
-        from mbcacq.recording.datasets.hand_eye_sets import table_of
         from mbcacq.recording.datasets.image_set import read_images
+        from mbcacq.recording.datasets.loose_table import table_of
 
         if not (self.poses and self.board and self.size and self.pitch):
             missing = [f"--{name}" for name in ("poses", "board", "size", "pitch") if getattr(self, name) is None]

@@ -39,7 +39,8 @@ def program(
     from mbcacq.plan import load
     from mbcacq.plan.programs import Trigger
     from mbcacq.recording.run_folder.progress import poses_done
-    from mbcacq.workflow.robot_program import robot_program, write_files
+    from mbcacq.workflow.controller_files import write
+    from mbcacq.workflow.robot_program import robot_program
 
     with StepProgress() as steps:
         steps.begin("checking every pose and every motion between them")
@@ -47,7 +48,7 @@ def program(
         trigger = Trigger(wait, output, exposure_s=loaded.plan.scanner.scan_time_s + 1.0 if exposure is None else exposure)
         done = frozenset[int]() if resume is None else poses_done(resume)
         files = robot_program(loaded, dialect, name=name, trigger=trigger, done=done)
-        written = write_files(files, out, replace)
+        written = write(files, out, replace)
     return Answer(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},
         [*map(str, written), "nobody has run this program: first in T1 or at reduced speed, a hand on the enabling switch"],
