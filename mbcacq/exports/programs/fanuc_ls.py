@@ -50,13 +50,7 @@ def read(text: str, n: int) -> RobotProgram:
 
 
 def _position(
-    position: Any,
-    n: int,
-    begin: int,
-    line_of: LineNumbers,
-    uses: defaultdict[str, Uses],
-    points: list[ProgrammedPoint],
-    left: list[LeftAlone],
+    position: Any, n: int, begin: int, line_of: LineNumbers, uses: dict[str, Uses], points: list[ProgrammedPoint], left: list[LeftAlone]
 ) -> None:
     key = str(int(position.children[0]))
     line = line_of(begin + position.children[0].start_pos)
