@@ -12,6 +12,7 @@ from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcomma
 from mbcacq.cli.next_step import command_line
 
 if TYPE_CHECKING:
+    from mbcacq.camera.board import Board
     from mbcacq.recording.datasets.loose_table import TableOptions, UnderstoodTable
 
 BOARDS = ["charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles"]
@@ -102,18 +103,26 @@ class BoardSaid:
     dictionary: str | None = option("Dictionary of the markers [5X5_100, april: APRILTAG_36h11].")
     camera: Path | None = option("File of the intrinsics (OpenCV, ROS, Kalibr, COLMAP) [estimated].")
 
+    def shown(self) -> Board:
+        """The board. Raises ConfigError where something must be said of it."""
+        from mbcacq.camera.board import board_of
+        from mbcacq.errors import ConfigError
+
+        if not (self.board and self.size and self.pitch):
+            missing = [f"--{name}" for name in ("board", "size", "pitch") if not getattr(self, name)]
+            raise ConfigError(f"{', '.join(missing)}: missing; say which board the images show")
+        return board_of(self.board, self.size, self.pitch, self.inner, self.dictionary)
+
     def read(self, files: tuple[Path, ...], options: TableOptions) -> UnderstoodTable:
         """The set of images. Raises ConfigError where something must be said of the board."""
-        from mbcacq.camera.board import board_of
         from mbcacq.errors import ConfigError
         from mbcacq.recording.datasets.image_set import read_images
         from mbcacq.recording.datasets.loose_table import table_of
 
-        if not (self.poses and self.board and self.size and self.pitch):
-            missing = [f"--{name}" for name in ("poses", "board", "size", "pitch") if getattr(self, name) is None]
-            raise ConfigError(f"{', '.join(missing)} of the images: missing; say which board they show and where the arm stood")
-        shown = board_of(self.board, self.size, self.pitch, self.inner, self.dictionary)
-        return read_images(files, table_of(self.poses, options), shown, self.camera, options)
+        board = self.shown()
+        if self.poses is None:
+            raise ConfigError("--poses of the images: missing; say where the arm stood")
+        return read_images(files, table_of(self.poses, options), board, self.camera, options)
 
 
 @subcommand("new", command)
