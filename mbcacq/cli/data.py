@@ -33,8 +33,8 @@ class TableSaid:
         "Orientation of the flange: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz.", metavar="CONVENTION"
     )
     target: str | None = option("Orientation of the target, likewise.", metavar="CONVENTION")
-    length: str | None = option("Unit of lengths, where headings do not say [by their size].", ["mm", "m"])
-    angle: str | None = option("Unit of angles, where headings do not say [by their size].", ["deg", "rad"])
+    length: str | None = option("Unit of lengths, if headings do not say [by their size].", ["mm", "m"])
+    angle: str | None = option("Unit of angles, if headings do not say [by their size].", ["deg", "rad"])
     eye_in_hand: bool = option("The scanner is on the flange.")
     eye_to_hand: bool = option("The scanner is fixed, the target on the flange.")
     flange_inverted: bool | None = option(

@@ -70,7 +70,7 @@ def command(
         metavar="NEXT.yaml",
     ),
     minutes: float = option(
-        "End the search after so many minutes. What was found by then is reported with the verdict 'cannot tell'.",
+        "End the search after so many minutes. The verdict is then 'cannot tell', with the effects found so far.",
         click.FloatRange(0.01),
         default=OPTIONS.minutes,
     ),

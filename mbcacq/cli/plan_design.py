@@ -22,8 +22,8 @@ def design(
     plan: Path = argument(PlanPath()),
     count: int | None = option("Number of calibration poses to choose (needed without --motion).", click.IntRange(6, 400), "--poses"),
     motion: tuple[Path, ...] = option(
-        "Design a motion instead: one that separates masses, a load on the flange and a balancer at A2. This recording of torque, "
-        "which does not, is the start (a trajectory set or a run; repeatable).",
+        "Design a motion instead that separates masses, a load on the flange and a balancer at A2, beginning with this recording of "
+        "torque (a trajectory set or a run; repeatable).",
         click.Path(path_type=Path, exists=True),
         metavar="RECORDING",
     ),

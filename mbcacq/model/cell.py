@@ -93,8 +93,8 @@ class KnownLength:
 class Artefact:
     """A certified object. ball_ids: certificate names, unique in the cell. centres: (B, 3) mm, artefact frame; diameters: (B,) mm.
 
-    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown. Where it is not
-    certified, the centres are a guess (NaN: none yet), and known_length is all that is known of its scale, if anything.
+    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown. The centres of an
+    artefact without a certificate are a guess (NaN: none yet), and known_length is all that is known of its scale, if anything.
     """
 
     id: str

@@ -65,7 +65,7 @@ class RigidStep:
 
     @property
     def scaled(self) -> np.ndarray:
-        """(6,) by which a twist is multiplied for all of its parts to be mm."""
+        """(6,) factors that turn all components of a twist into mm."""
         return np.repeat([1.0, self.radius_mm], 3)
 
     def shown(self, twist: np.ndarray) -> np.ndarray:

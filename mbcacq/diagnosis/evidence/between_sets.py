@@ -1,8 +1,8 @@
 """What is stated of an effect, over all sets of effects that the evidence does not exclude.
 
-The standard deviation of a parameter in one set holds if that set is the right one. Where another set with the effect in it is not
-excluded, the parameter is what all of these state, each as probable as its set (Bayesian model averaging): its variance is the mean of
-theirs and the variance between them. Where a further effect moves it beyond its uncertainty, the two descriptions cannot be told apart.
+The standard deviation of a parameter in one set holds if that set is the right one. If other sets with the effect are not excluded, the
+parameter is averaged over all of them with the probabilities of the sets (Bayesian model averaging). Its variance is the mean of theirs
+plus the variance between them. Two descriptions cannot be told apart if a further effect moves the parameter beyond its uncertainty.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def by_effect(solved: EffectSet) -> ByEffect:
 
 
 def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Sequence[WeightedSet]) -> dict[str, ParameterEstimate]:
-    """Those of ``parameters`` that other sets state of the effect ``label`` as well, averaged over all of these.
+    """The parameters of the effect ``label`` that other sets state too, averaged over all these sets.
 
     parameters: as reported, which may be more uncertain than the coefficients ``reported`` of that set alone say. So the sets move them,
     and add to their variance, by what they differ from these.

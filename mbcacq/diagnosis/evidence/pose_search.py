@@ -38,7 +38,7 @@ class PoseSearch(EvidenceSearch):
 
     given: effects that are in the problem from the beginning. staged: one set is followed, and first the effects that every arm has
     (elastic joints), so that what they explain is not given to slow periodic errors, then the rest of the catalogue, and none unmodelled.
-    Those at different locations that do not take from each other enter together.
+    Effects at different locations that do not take from each other enter together.
     """
 
     candidates: list[Candidate]

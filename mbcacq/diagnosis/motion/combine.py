@@ -128,7 +128,7 @@ class PosesAndMotion:
     def agreement(self) -> list[ParameterAgreement]:
         """Every parameter that both found.
 
-        Where the poses were searched with what the motion states, the values over all joint sets that are not excluded are compared.
+        If the poses were searched with the motion's values, the values over all joint sets that are not excluded are compared.
         """
         out = []
         for effect in self.beside_motion:

@@ -41,8 +41,8 @@ def predicting_better(kept: EffectModel, full: ModelFit, validation: CrossValida
     no place in a calibration.
 
     An effect that was not found again without any part says nothing there: then it is judged with its coefficients fitted without the part.
-    What happens at one station alone is not known where whole stations are left out, and stays. Where two describe one thing, held-out data
-    are predicted as well without either: they stay where nothing else is left and both together predict better.
+    What happens at one station alone is not known where whole stations are left out, and stays. Two effects may describe one thing, and
+    held-out data are then predicted as well without either. They stay if nothing else is left and both together predict better.
     """
     whole = validation.parametric or validation.after
     of_stations = validation.split == "station"
