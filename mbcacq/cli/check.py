@@ -26,6 +26,7 @@ def command(
     measured: Path | None = option("Judge a check that was measured already; nothing moves.", RunPath("check"), "--from", metavar="RUN"),
     poses: int = option("Number of poses, chosen at the first check.", default=12),
     placed_anew: bool = option("The artefact is placed anew for each check, so its place is not judged."),
+    part: bool = option("Judge by the scans of PLAN's part instead of balls [always without balls]."),
     fleet: Path | None = option("Table of mbcacq fleet: how arms change from day to day.", click.Path(path_type=Path, exists=True)),
     out: Path | None = option("Folder of the recording [default: runs/TIME_check-NAME]."),
     motion: MotionOptions = MotionOptions,  # type: ignore[assignment]
@@ -58,7 +59,7 @@ def command(
     )
     loaded = mbcacq.load_plan(plan)
     days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
-    settings = CheckSettings(poses, not placed_anew, days, out)
+    settings = CheckSettings(poses, not placed_anew, days, out, part)
     with steps:
         done = mbcacq.check(
             result,

@@ -15,6 +15,7 @@ Measurement = Literal["artefact_in_scanner", "target_in_base"]
 Drive = Literal["gear", "direct", "belt", "friction_wheel", "screw", "scaled_encoder"]
 ARTEFACT_IN_SCANNER: Final = "artefact_in_scanner"
 TARGET_IN_BASE: Final = "target_in_base"
+SCENE: Final = "scene"  # artefact of scans of a part, whose frame is what these scans make of it
 SIMULATED = "simulated: the fake cell or a model made these data, no real arm was measured"
 
 

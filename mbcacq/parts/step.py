@@ -29,8 +29,12 @@ class SmoothNoise:
 
     def covariance(self, cells: Overlap) -> np.ndarray:
         """(c, c) mm^2 of the distances."""
-        square = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
-        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(cells.variance)
+        return self.covariance_of(cells.point, cells.variance)
+
+    def covariance_of(self, points: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """(c, c) mm^2 of heights at points (c, 3) mm, whose own variance (c,) is known."""
+        square = np.sum((points[:, None] - points) ** 2, axis=2)
+        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(variance)
 
 
 @dataclass(frozen=True)

@@ -90,14 +90,17 @@ class BetweenSets:
         return sorted(found, key=lambda one: -one[0].log_posterior)
 
 
-def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Hypothesis, frozenset[str]]]:
+def alternatives_to(fit: EvidenceFit, reported: Hypothesis, everywhere: bool = False) -> list[tuple[Hypothesis, frozenset[str]]]:
     """Sets that the evidence does not exclude in favour of the reported one: others, and those with a further effect beside which reported
     ones (``name:where``) are others.
 
     One that has an unmodelled effect in place of a catalogued one at the same location, with the same displacement, is no other set: it
-    describes the same effect in a more general form.
+    describes the same effect in a more general form. everywhere: whether unmodelled effects stand at all locations; sets that differ by
+    such effects alone are no others then.
     """
     others = [(other, frozenset[str]()) for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+    if everywhere:
+        others = [one for one in others if any(not label.startswith(UNKNOWN) for label in reported.labels ^ one[0].labels)]
     return [*others, *(BetweenSets.of(fit).changing() if fit.significant else [])]
 
 
@@ -117,12 +120,14 @@ def better_in_general(fit: EvidenceFit, reported: Hypothesis) -> dict[str, float
     return out
 
 
-def pairs_not_separable(fit: EvidenceFit) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
-    """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect."""
+def pairs_not_separable(fit: EvidenceFit, everywhere: bool = False) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
+    """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect.
+    everywhere: as ``alternatives_to``.
+    """
     if not fit.significant:
         return []
     reported, out = reported_hypothesis(fit), []
-    for other, changed in alternatives_to(fit, reported):
+    for other, changed in alternatives_to(fit, reported, everywhere):
         ours, theirs = differing(reported, other, changed)
         out.append((not_separable(reported, other, likeness(reported, ours, theirs), changed), ours, theirs))
     return out

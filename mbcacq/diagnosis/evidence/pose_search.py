@@ -65,7 +65,7 @@ class PoseSearch(EvidenceSearch):
         single steps do not lead there.
         """
         common = [c for c in self.candidates if catalogue.declaration(c.name).every_arm]
-        if not {c.depends_on for c in common} & {m.candidate.depends_on for m in best.unmodelled}:
+        if not best.unmodelled:
             return best
         present = [m.candidate for m in best.members]
         further = [evidence_of_one(best.conditioned, c)[1] for c in common if self.allowed(c, present)]

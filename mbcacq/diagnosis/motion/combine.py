@@ -47,7 +47,7 @@ from mbcacq.model.json_text import EveryKey, fields_as_json, from_document
 VERDICT_OF_BOTH = {
     "none": "no effect.",
     "explained": "effects explain what both show.",
-    "partly_explained": "effects explain a part of what both show; structure remains.",
+    "partly_explained": "named effects explain a part of what both show; the rest is unmodelled.",
     "unexplained": "there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "these data do not decide between the possible causes.",
 }
