@@ -31,6 +31,14 @@ def design(
         "Order the poses instead, those of PLAN and better ones, so that the first few show most: after 24 of them a diagnosis may say "
         "that there is no effect, and a run may stop at any time."
     ),
+    part: Path | None = option(
+        "Choose the views of the first `do: scan` step instead, by the surface they show: of MESH (mm, the part's frame), or of the mesh "
+        "that the part's file names.",
+        click.Path(path_type=Path),
+        flag_value=Path(),
+        metavar="[MESH]",
+        is_flag=False,
+    ),
     seconds: float = option("Duration of that motion.", click.FloatRange(5, 120), default=20.0),
     out: Path | None = option(
         "The new plan [default: NAME_designed.yaml in the folder of PLAN], or the table of the motion [default: NAME_motion.csv]."
@@ -52,7 +60,11 @@ def design(
 
     With --order as many poses as PLAN has (or --poses) are ordered in blocks. Each block is the best continuation of those before it: it
     shows most of all effects of the catalogue, per second of motion, scan and artefact move.
+
+    With --part the fewest views are sought that show 98 % of what can be seen of a part at all, each overlapping with others.
     """
+    if part is not None:
+        return cover_part(plan, part, out or plan.with_name(f"{plan.stem}_covering.yaml"), tilt, seed, force)
     if motion:
         return design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force)
     if order:
@@ -98,6 +110,31 @@ def refuse_taken(target: Path, force: bool, beside: Path | None = None) -> None:
     refuse_existing(target, force, f"{target} exists already; give another --out, or --force to replace it")
     if beside is not None and target.resolve().parent != beside.resolve().parent:
         raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {beside}")
+
+
+def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force: bool) -> Answer:
+    """Choose views of a part, write the plan, and say what they show."""
+    from mbcacq.design.part_coverage import design_part
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.files.mesh_file import read_mesh
+    from mbcacq.plan import expand, load, refuse_errors
+
+    refuse_taken(out, force, beside=plan)
+    with StepProgress() as steps:
+        steps.begin("choosing views by the surface that they show")
+        found = design_part(load(plan), None if part == Path() else read_mesh(part), tilt, seed)
+        new = load(out, found.text)
+        refuse_errors(new, expand(new))
+        write_file(out, found.text)
+    figures = {"views": found.views, "covered": found.covered, "visible": found.visible, "tried": found.tried}
+    return Answer(
+        {"format": "mbcacq-part-design/1", "plan": str(out), **figures},
+        [
+            f"{found.views} views show {found.covered:.1%} of what can be seen of the part; that is {found.visible:.1%} of its surface",
+            f"chosen from {found.tried} views that can be taken; written to {out}",
+        ],
+        ("try it without hardware", command_line("run", out, "--dry-run")),
+    )
 
 
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool) -> Answer:

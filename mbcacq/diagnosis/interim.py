@@ -107,7 +107,7 @@ class InterimEvidence:
 def weigh(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> InterimEvidence:
     """Weigh all explanations of a recording, or of several of one arm together, as ``diagnose`` does, and validate nothing.
 
-    options: of the adjustment, as ``mbcacq.calibrate`` takes them. Raises CalibrationError where the data do not even determine the
+    options: of the adjustment, as ``mbcacq.calibrate`` takes them. Raises CalibrationError if the data do not even determine the
     geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]

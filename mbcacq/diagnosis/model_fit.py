@@ -65,7 +65,7 @@ class ModelFit:
     evidence : EvidenceFit
         The hypotheses that were compared, of a long recording on a part of it.
     estimated : EffectSet or None
-        The random effects with the coefficients that the evidence gives them; None where they stand at all locations.
+        The random effects with the coefficients that the evidence gives them; None if they stand at all locations.
     """
 
     model: EffectSet

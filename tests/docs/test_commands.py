@@ -84,16 +84,12 @@ DRY_RUN = re.compile(r"^(?:\.venv/bin/)?mbcacq run plans/((?:quick|kuka|conceale
 
 DIAGNOSED = re.compile(r"^(?:\.venv/bin/)?mbcacq diagnose runs/concealed --calibrate$")
 
-# These pages make a plan of their own; its arm moves faster and its scanner takes less time, with as many poses.
+# This page makes a plan of its own; its arm moves faster and its scanner takes less time, with as many poses.
 FASTER = "sed -i -e 's/^  speed: .*/  speed: 1.0/; s/^  scan_time_s: .*/  scan_time_s: 0.1/'"
 OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"  # goes by the clock, and exposes once
-NEW_PLAN_OF_A_KUKA = "mbcacq plan new --robot kr6_r900_2"
 
 # That a plan of this arm comes of it is the fact, not for how many places.
 NEW_PLAN, FEW = "mbcacq plan new --robot ur10e", "--stations 3 --poses 12"
-
-# All of it takes two minutes; benchmarks/investigate.py has what it finds. Here its first block is executed.
-INVESTIGATION = re.compile(r"^(?:\.venv/bin/)?mbcacq investigate plans/\w+\.yaml --dry-run$")
 
 
 def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], diagnosed: Callable[[], FinishedRun]) -> str:
@@ -104,12 +100,8 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], di
             lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
         elif line.strip() == OWN_CELL:
             lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' plans/my-cell.yaml")
-        elif line.startswith(NEW_PLAN_OF_A_KUKA):
-            lines.append(f"{line} && {FASTER} plan.yaml")
         elif line.startswith(NEW_PLAN):
             lines.append(f"{line} {FEW}")
-        elif INVESTIGATION.match(line.strip()):
-            lines.append(f"{line} --poses 24")
         elif DIAGNOSED.match(line.strip()):
             run = diagnosed()
             lines.append(f"cp -a '{run.folder}'/. runs/concealed && cat '{run.desk / 'stdout'}'")
