@@ -76,10 +76,10 @@ def table(verdicts: list[InjectionVerdict]) -> None:
 def messages(given: argparse.Namespace) -> int:
     """Every fault at every protocol step, for every driver: a named error or a recovery, a robot at rest, no hang, no wrong result.
 
-    A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate,
-    garbage, close; with --flip one bit of it instead. Afterwards the device must rest and the next driver must work. 'whole run' does the same to a run of a small plan:
-    its recording must be readable, and every centre in it that of the undisturbed run. Prints a table a driver, and every case that is
-    not good.
+    A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate, garbage,
+    close; with --flip one bit is flipped. Afterwards the device must rest and the next driver must work. 'whole run' does the same to a run
+    of a small plan: its recording must be readable, and every centre in it that of the undisturbed run. Prints a table a driver, and every
+    case that is not good.
     """
     found = {name: examine(name, given.most, given.draw, given.seed, given.flip) for name in given.only}
     if given.json:

@@ -23,8 +23,9 @@ Cut = Callable[[bytes], int]
 class Fault:
     """What happens to message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
 
-    drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first
-    half arrives, then the connection ends (a datagram is lost); flip: one bit of it, chosen at random; split: byte by byte; join: in one segment with the next.
+    drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first half
+    arrives, then the connection ends (a datagram is lost); flip: one bit of it, chosen at random; split: byte by byte; join: in one segment
+    with the next.
     """
 
     sender: Sender
