@@ -151,7 +151,7 @@ class Covariates:
         robot = self.obs.cell.robot
         mass, com = self.links
         frames = self.nominal_frames
-        weight = gravity.STANDARD_GRAVITY * robot.gravity
+        weight = gravity.STANDARD_GRAVITY * gravity.downward(robot.chain, frames, robot.gravity).reshape(-1, 3)
         load = self.payload_mass if self.masses_known else np.ones(len(frames))
         tool = np.einsum("pij,pj->pi", frames[:, -1, :3, :3], self.payload_com) + frames[:, -1, :3, 3]
         origin = frames[:, frame, :3, 3]
@@ -163,7 +163,10 @@ class Covariates:
 
     def gravity_direction(self, frame: int) -> np.ndarray:
         """(P, 3) direction of gravity in the axes of ``frame`` (0 base .. n flange)."""
-        return np.einsum("pji,j->pi", self.nominal_frames[:, frame, :3, :3], self.obs.cell.robot.gravity)
+        robot, R = self.obs.cell.robot, self.nominal_frames[:, frame, :3, :3]
+        if robot.chain.floor:
+            return np.einsum("pji,pj->pi", R, gravity.downward(robot.chain, self.nominal_frames, robot.gravity)[:, 0])
+        return np.einsum("pji,j->pi", R, robot.gravity)
 
     @cached_property
     def flange_gravity(self) -> np.ndarray:

@@ -20,7 +20,7 @@ SIMULATED = "simulated: the fake cell or a model made these data, no real arm wa
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg.
+    """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg; in place of rad stands mm for a prismatic joint.
 
     Attributes
     ----------
@@ -40,6 +40,8 @@ class RobotModel:
         Whether a spring or gas balancer carries A2; None where the source does not say.
     drives : tuple[Drive | None, ...]
         (n,) what moves each joint, None where the source does not say; empty where it says so of no joint.
+    names : tuple[str, ...]
+        (n,) of the axes, as the controller counts them: A1 .. those of the arm, E1 .. external ones; empty: A1 to An.
     """
 
     name: str
@@ -57,10 +59,16 @@ class RobotModel:
     jerk: np.ndarray | None = None
     balancer: bool | None = None
     drives: tuple[Drive | None, ...] = ()
+    names: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
         return self.chain.n
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names of the axes."""
+        return self.names or tuple(f"A{i + 1}" for i in range(self.n))
 
     def drive(self, joint: int) -> Drive | None:
         """What moves a joint, by its index; None where the source does not say."""

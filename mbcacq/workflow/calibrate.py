@@ -202,7 +202,7 @@ def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell
     alone = cell.extra.get("geometry_alone")
     chain = None
     if alone:
-        chain = Chain(cell.state.chain.sign, *(np.array(alone["calibrated"][p]) for p in PARAMETERS))
+        chain = cell.state.chain.with_rows(np.array([alone["calibrated"][p] for p in PARAMETERS]).T)
     name = str(data) if isinstance(data, Path | str) else ""
     observations = as_observations(data)
     found = check_transfer(observations, cell, chain, place=place, recording=name)
