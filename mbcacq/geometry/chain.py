@@ -108,6 +108,32 @@ class Chain:
         parallel[-1] = False
         return parallel
 
+    def redundant(self, base_known: bool = False, tolerance: float = 1e-6) -> np.ndarray:
+        """(n, 5) bool: a parameter that acts like others of the chain, or like displacements of the flange, and of the base where that is
+        not known.
+
+        Of a chain of any joints, whose independent parameters are 4 for each revolute joint and 2 for each prismatic one, less 6 for an
+        unknown base. Found by orthogonalising the twists of the flange at random postures, the last rows and the common parameters first.
+        """
+        low, high = self.drawn_between(np.where(self.prismatic[:, None], [-1e3, 1e3], [-np.pi, np.pi]))
+        q = np.random.default_rng(0).uniform(low, high, (12 * self.n, self.n))
+        frames = self.frames(q)
+        rigid = np.broadcast_to(np.eye(6), (len(q), 6, 6))
+        known = [np.swapaxes(se3.adjoint(frames[:, -1]), 1, 2), *([] if base_known else [rigid])]
+        twists = np.concatenate([*known, self.parameter_twists(frames, q).reshape(len(q), -1, 6)], axis=1)
+        weight = np.array([1.0, 1.0, 1.0, *[self.reach] * 3])  # rotations as displacements at the reach
+        columns = (np.swapaxes(twists, 0, 1) * weight).reshape(twists.shape[1], -1)
+        columns /= np.linalg.norm(columns, axis=1, keepdims=True)
+        first = twists.shape[1] - 5 * self.n
+        order = [first + 5 * i + k for k in (3, 0, 2, 1, 4) for i in reversed(range(self.n))]
+        basis, free = np.linalg.qr(columns[:first].T)[0], np.zeros(5 * self.n, dtype=bool)
+        for at in order:
+            left = columns[at] - basis @ (basis.T @ columns[at])
+            left -= basis @ (basis.T @ left)
+            if (size := float(np.linalg.norm(left))) > tolerance:
+                basis, free[at - first] = np.column_stack([basis, left / size]), True
+        return ~free.reshape(-1, 5)
+
     def frames(self, q: np.ndarray, displacement: np.ndarray | None = None) -> np.ndarray:
         """T_base_link for all links: (P, n+1, 4, 4); [:, 0] is the base, [:, n] the flange.
 

@@ -22,7 +22,7 @@ from mbcacq.calibration.verification import Verification
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
