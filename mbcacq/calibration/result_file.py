@@ -39,7 +39,7 @@ Twist = Annotated[np.ndarray, as_list(Annotated[list[FiniteFloat], Field(min_len
 class RobotInResult(EveryKey):
     """The arm, as described and as calibrated."""
 
-    left_out = ("flange_poses", "sliding", "floor", "root", "axes")
+    left_out = ("flange_poses", "sliding", "floor", "root", "follows", "axes")
     later = ("limits",)
 
     name: str
@@ -49,6 +49,7 @@ class RobotInResult(EveryKey):
     sliding: Annotated[tuple[int, ...], Field(description="indices of the prismatic joints: their positions are in mm")] = ()
     floor: Annotated[int, Field(description="how many of the first joints carry the artefact")] = 0
     root: Annotated[RowsOfTransform | None, Field(description="frame of the first joint in the base; null: they are one")] = None
+    follows: Annotated[tuple[tuple[int, int, float], ...], Field(description="joint, leader and ratio of those that others move")] = ()
     axes: Annotated[tuple[str, ...], Field(description="names of the axes; empty: A1 ..")] = ()
     nominal: Annotated[Rows, Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")]
     calibrated: Rows
@@ -66,6 +67,7 @@ class RobotInResult(EveryKey):
             sliding=nominal.sliding,
             floor=nominal.floor,
             root=as_rows(nominal.root),
+            follows=nominal.follows,
             axes=robot.names,
             nominal=_rows(nominal),
             calibrated=_rows(calibrated),
@@ -86,7 +88,7 @@ class RobotInResult(EveryKey):
         if self.flange_poses:
             return FlangePoses.new()
         root = None if self.root is None else np.array(self.root)
-        return Chain(self.sign, *(rows[p] for p in PARAMETERS), sliding=self.sliding, floor=self.floor, root=root)
+        return Chain(self.sign, *(rows[p] for p in PARAMETERS), sliding=self.sliding, floor=self.floor, root=root, follows=self.follows)
 
 
 def _rows(chain: Chain) -> Rows:

@@ -72,7 +72,7 @@ TILT = "tilt"  # of the artefact against the scanner's axis, by which what depen
 AXIS = ("axis_x", "axis_y", "axis_z")  # of the artefact (its z), in the scanner's axes, where the geometry was fitted
 UNSTATED = (RECORDING, *AXIS)  # no other recording has them
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
-_INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_)([1-9][0-9]*)$")
+_INDEXED = re.compile(r"^(q|s|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_)([1-9][0-9]*)$")
 LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves behind fades
 FAR = 1e3  # rad of travel, beyond any over which something fades
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
@@ -100,6 +100,10 @@ class Covariates:
     def scanner_on_flange(self) -> bool:
         """False for an external instrument that measures a target on the flange."""
         return self.obs.cell.measurement != TARGET_IN_BASE
+
+    def position(self, joint: int) -> str:
+        """The covariate that is a joint's own position: q1 .. an angle (rad), s1 .. of a prismatic joint (mm)."""
+        return f"{'s' if joint in self.obs.cell.robot.chain.sliding else 'q'}{joint + 1}"
 
     @cached_property
     def masses_known(self) -> bool:
@@ -339,6 +343,7 @@ class Covariates:
         kind, i = match[1], int(match[2]) - 1
         recorded: dict[str, Callable[[], np.ndarray | None]] = {
             "q": lambda: self.obs.q,
+            "s": lambda: self.obs.q,
             "qd": lambda: self.obs.velocity,
             "tau": lambda: self.obs.torque,
             "direction_": lambda: self.obs.direction,

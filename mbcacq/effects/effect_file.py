@@ -25,7 +25,7 @@ CURE = "make the model of effects anew with mbcacq diagnose"
 
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(
-    r"^(?:q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
+    r"^(?:q|s|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
 )
 _OF_FRAME = re.compile(r"^gravity_(?:moment|direction|along)_([0-9]+)_(?:[xyz]|[0-9]+_[0-9]+)$")
 Three = tuple[Number, Number, Number]
@@ -36,7 +36,7 @@ class ArmInFile(EveryKey):
     """The arm as it is nominally: MD-H rows by parameter (theta, alpha, beta rad; d, a mm), masses and what else covariates need. sliding,
     floor, root: as of ``Chain``; axes: their names."""
 
-    left_out = ("sliding", "floor", "root", "axes")
+    left_out = ("sliding", "floor", "root", "follows", "axes")
 
     name: str
     sign: Annotated[tuple[Literal[-1, 1], ...], Field(min_length=1)]
@@ -50,6 +50,7 @@ class ArmInFile(EveryKey):
     sliding: tuple[int, ...] = ()
     floor: int = 0
     root: RowsOfTransform | None = None
+    follows: tuple[tuple[int, int, float], ...] = ()
     axes: tuple[str, ...] = ()
 
     @classmethod
@@ -68,6 +69,7 @@ class ArmInFile(EveryKey):
             sliding=robot.chain.sliding,
             floor=robot.chain.floor,
             root=as_rows(robot.chain.root),
+            follows=robot.chain.follows,
             axes=robot.names,
         )
 
@@ -78,7 +80,7 @@ class ArmInFile(EveryKey):
         root = None if self.root is None else np.array(self.root)
         return RobotModel(
             self.name,
-            Chain(np.array(self.sign, dtype=float), *rows, sliding=self.sliding, floor=self.floor, root=root),
+            Chain(np.array(self.sign, dtype=float), *rows, sliding=self.sliding, floor=self.floor, root=root, follows=self.follows),
             self.limits,
             np.array(self.mass_kg),
             np.array(self.com_mm),

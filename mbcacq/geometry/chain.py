@@ -26,7 +26,9 @@ class Chain:
     """MD-H rows of n joints, each (n,): sign (+1/-1), theta rad, d mm, a mm, alpha rad, beta rad.
 
     sliding: indices of the prismatic joints, whose q is in mm. floor: how many of the first joints carry the artefact, which is the index
-    of the frame that stands on the floor. root: (4, 4) frame of the first joint in the base, None: they are one.
+    of the frame that stands on the floor. root: (4, 4) frame of the first joint in the base, None: they are one. follows: (joint, leader,
+    ratio) of each joint that a belt or a parallelogram moves with another one: its position is its own, which is zero but for errors, plus
+    so many times the leader's.
     """
 
     sign: np.ndarray
@@ -38,6 +40,7 @@ class Chain:
     sliding: tuple[int, ...] = ()
     floor: int = 0
     root: np.ndarray | None = None
+    follows: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def n(self) -> int:
@@ -54,12 +57,24 @@ class Chain:
 
     def with_rows(self, rows: np.ndarray) -> Chain:
         """The same joints with other rows (n, 5)."""
-        return type(self)(self.sign, *rows.T, self.sliding, self.floor, self.root)
+        return type(self)(self.sign, *rows.T, self.sliding, self.floor, self.root, self.follows)
 
     @property
     def prismatic(self) -> np.ndarray:
         """(n,) bool: the joint slides."""
         return np.isin(np.arange(self.n), self.sliding)
+
+    @property
+    def coupling(self) -> np.ndarray:
+        """(n, n): position of each joint by the positions that are counted."""
+        out = np.eye(self.n)
+        for joint, leader, ratio in self.follows:
+            out[joint, leader] = ratio
+        return out
+
+    def of_leaders(self, of_joints: np.ndarray) -> np.ndarray:
+        """What a unit of each position that is counted moves (.., n, k), from what each joint by itself moves; also of torques."""
+        return self.coupling.T @ of_joints if self.follows else of_joints
 
     def by_kind(self, angle: float, length: float) -> np.ndarray:
         """(n,): one number for each revolute joint, another for each prismatic one."""
@@ -95,7 +110,10 @@ class Chain:
     def same_links(self, other: Chain) -> bool:
         """Whether another chain has as many axes of the same kinds, which turn the same way, and the same rows but for rounding."""
         alike = type(self) is type(other) and self.n == other.n and (self.sliding, self.floor) == (other.sliding, other.floor)
-        return alike and bool(np.allclose(self.rows, other.rows) and np.all(self.sign == other.sign) and np.allclose(self._first, other._first))
+        alike = alike and np.allclose(self.coupling, other.coupling)
+        return alike and bool(
+            np.allclose(self.rows, other.rows) and np.all(self.sign == other.sign) and np.allclose(self._first, other._first)
+        )
 
     @property
     def _first(self) -> np.ndarray:
@@ -167,6 +185,7 @@ class Chain:
 
     def _positions(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angle about and displacement along z of the frame before each joint, (P, n) or (n,) each, at q (P, n)."""
+        q = q @ self.coupling.T if self.follows else q
         angle, along = self.sign * q + self.theta, self.d
         if self.sliding:
             slides = list(self.sliding)
@@ -180,14 +199,14 @@ class Chain:
         out = rotation_twist(z, frames[:, :-1, :3, 3])
         if self.sliding:
             out[:, self.sliding, :3], out[:, self.sliding, 3:] = z[:, self.sliding], 0.0
-        return self.sign[:, None] * out
+        return self.of_leaders(self.sign[:, None] * out)
 
     def of_joints(self, parameter_twists: np.ndarray) -> np.ndarray:
         """Spatial twist of a unit of controller position of each joint (P, n, 6), from those of the parameters (P, n, 5, 6)."""
         out = parameter_twists[:, :, 0] * self.sign[:, None]
         if self.sliding:
             out[:, self.sliding] = parameter_twists[:, self.sliding, 1] * self.sign[list(self.sliding), None]
-        return out
+        return self.of_leaders(out)
 
     def parameter_twists(self, frames: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Spatial twist of a unit error of each MD-H parameter: (P, n, 5, 6), order of PARAMETERS.

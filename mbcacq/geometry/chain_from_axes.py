@@ -75,6 +75,7 @@ def carried(arm: Chain, direction: np.ndarray, point: np.ndarray, sliding: Seque
         sliding=(*sliding, *(k + i for i in arm.sliding)),
         floor=floor,
         root=root,
+        follows=tuple((k + joint, k + leader, ratio) for joint, leader, ratio in arm.follows),
     )
 
 

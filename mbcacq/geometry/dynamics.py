@@ -27,6 +27,7 @@ def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, grav
     H = chain.link_transforms(q)
     R, t = H[..., :3, :3], H[..., :3, 3] * 1e-3
     T, n = q.shape
+    qd, qdd = (x @ chain.coupling.T if chain.follows else x for x in (qd, qdd))
     out = np.zeros((T, n, n, 10))
     omega, alpha = np.zeros((T, 3)), np.zeros((T, 3))
     acceleration = np.broadcast_to(-STANDARD_GRAVITY * np.asarray(gravity, dtype=float), (T, 3))
@@ -48,7 +49,7 @@ def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, grav
             force = R[:, joint] @ force
             moment = R[:, joint] @ moment + se3.skew(t[:, joint]) @ force
             out[:, joint, link] = chain.sign[joint] * (force if joint in chain.sliding else moment)[:, 2]
-    return out
+    return chain.of_leaders(out.reshape(T, n, -1)).reshape(out.shape)
 
 
 def _wrench(omega: np.ndarray, alpha: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ def gravity_torque(
     if chain.sliding:
         out[:, chain.sliding] = (np.sum(axis * weight, axis=2) * total)[:, chain.sliding]
     out[:, : chain.floor] = 0.0
-    return out
+    return chain.of_leaders(out[..., None])[..., 0]
 
 
 def downward(chain: Chain, frames: np.ndarray, gravity: np.ndarray) -> np.ndarray:

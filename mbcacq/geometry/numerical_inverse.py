@@ -156,7 +156,7 @@ class NumericalInverse:
         if self.chain.sliding:
             slides = list(self.chain.sliding)
             out[:, slides, :3], out[:, slides, 3:] = axis[:, slides], 0.0
-        return out.swapaxes(1, 2)
+        return self.chain.of_leaders(out).swapaxes(1, 2)
 
     def _solve(self, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where each start (S, n) ends for its target (S, 4, 4), and which of them solved it."""
@@ -218,7 +218,9 @@ def with_full_turns(q: np.ndarray, low: np.ndarray, high: np.ndarray, prismatic:
         return np.empty((0, q.shape[1]))
     first, last = np.ceil((low - q) / FULL_TURN - 1e-12), np.floor((high - q) / FULL_TURN + 1e-12)
     if prismatic is not None:
-        first, last = (np.where(prismatic, np.where((low <= q) & (q <= high), 0.0, end), bound) for end, bound in ((1.0, first), (0.0, last)))
+        first, last = (
+            np.where(prismatic, np.where((low <= q) & (q <= high), 0.0, end), bound) for end, bound in ((1.0, first), (0.0, last))
+        )
     q, first, last = (x[(last >= first).all(axis=1)] for x in (q, first, last))
     most = (last - first).max(axis=0, initial=0.0).astype(int)
     turns = _turns_up_to(tuple(most.tolist()))

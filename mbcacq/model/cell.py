@@ -66,6 +66,11 @@ class RobotModel:
         return self.chain.n
 
     @property
+    def counted(self) -> np.ndarray:
+        """(n,) bool: the axis has a position of its own, which a controller counts; one that follows another has none."""
+        return ~np.isin(np.arange(self.n), [joint for joint, _, _ in self.chain.follows])
+
+    @property
     def axes(self) -> tuple[str, ...]:
         """(n,) names of the axes."""
         return self.names or tuple(f"A{i + 1}" for i in range(self.n))

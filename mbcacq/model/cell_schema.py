@@ -123,12 +123,25 @@ class JointSpec(Strict):
         return said if said is None or self.slides else from_degrees(said)
 
 
+def ratio_unit(joint: JointSpec, leader: JointSpec) -> float:
+    """What turns a ratio of the units of files (deg, mm) into one of those inside."""
+    unit = {False: float(from_degrees(1.0)), True: 1.0}
+    return 1.0 if joint.slides == leader.slides else unit[joint.slides] / unit[leader.slides]
+
+
 QUANTITIES = {"limits": "", "speed": "_s", "acceleration": "_s2", "jerk": "_s3"}  # of a joint, and how the key ends
 
 
 def joint_key(quantity: str, kind: str) -> str:
     """The key under which a file states a quantity of a joint: speed_deg_s, speed_mm_s of a prismatic one."""
     return f"{quantity}_{'mm' if kind == 'prismatic' else 'deg'}{QUANTITIES[quantity]}"
+
+
+class FollowsSpec(Strict):
+    """The joint that a joint moves with, by its number in the list of links, and the ratio of their motions: deg or mm for each deg or mm."""
+
+    link: Annotated[int, Field(ge=1)]
+    ratio: Annotated[float, Field(ge=-1e4, le=1e4)] = 1.0
 
 
 class LinkSpec(JointSpec):
@@ -141,6 +154,7 @@ class LinkSpec(JointSpec):
     mass_kg: Mass = 0.0
     com_mm: Place = (0.0, 0.0, 0.0)
     gear_ratio: GearRatio | None = None
+    follows: FollowsSpec | None = None
 
 
 class ExternalAxisSpec(JointSpec):
@@ -180,6 +194,8 @@ class RobotSpec(Strict):
             raise ValueError("the joints that carry the artefact come first, from its table to the floor; reorder the links")
         if self.external_axes and "artefact" in carries:
             raise ValueError("links carry the artefact already; give the external axes all as links, or all as external_axes")
+        if any(link.follows and link.follows.link > len(self.links) for link in self.links):
+            raise ValueError("a link follows one that is not there; give the number of another link, counted from 1")
         names = [joint.name for joint in (*self.external_axes, *self.links) if joint.name]
         if len(set(names)) < len(names):
             raise ValueError("two axes have the same name; rename one")
@@ -201,6 +217,11 @@ class RobotSpec(Strict):
             sliding=tuple(i for i, link in enumerate(self.links) if link.slides),
             floor=sum(link.carries == "artefact" for link in self.links),
             root=self.base_to_first_axis.transform() if self.base_to_first_axis else None,
+            follows=tuple(
+                (i, f.link - 1, f.ratio * ratio_unit(link, self.links[f.link - 1]))
+                for i, link in enumerate(self.links)
+                if (f := link.follows)
+            ),
         )
         of_table = [axis for axis in (*external_axes, *self.external_axes) if axis.carries == "artefact"][::-1]  # seen from the table
         before = [*of_table, *(axis for axis in (*external_axes, *self.external_axes) if axis.carries == "arm")]
@@ -215,7 +236,7 @@ class RobotSpec(Strict):
         return cell.RobotModel(
             name=self.name,
             chain=chain,
-            limits=np.array([j.quantity("limits") for j in joints], dtype=float),
+            limits=np.array([(0.0, 0.0) if isinstance(j, LinkSpec) and j.follows else j.quantity("limits") for j in joints], dtype=float),
             mass=np.concatenate([np.zeros(k), column["mass_kg"]]),
             com=np.vstack([np.zeros((k, 3)), [link.com_mm for link in self.links]]),
             speed=speed,

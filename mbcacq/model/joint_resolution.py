@@ -64,7 +64,9 @@ def computed_by_the_arm(obs: Observations) -> float | None:
     off = on_flange - np.array([np.mean(on_flange[obs.ball == b], axis=0) for b in range(obs.ball.max() + 1)])[obs.ball]
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     step_mm = next((step for step in STEPS_MM if _on_grid(obs.xyz, step)), 0.0)
-    rounding = np.hypot(np.sqrt(3) * rounding_noise(step_mm), rounding_noise(joint_step(obs.q[:, turns])) * np.linalg.norm(robot.chain.lever[turns]))
+    rounding = np.hypot(
+        np.sqrt(3) * rounding_noise(step_mm), rounding_noise(joint_step(obs.q[:, turns])) * np.linalg.norm(robot.chain.lever[turns])
+    )
     return rms if rms < max(ALIKE_MM, 2.0 * rounding) else None
 
 

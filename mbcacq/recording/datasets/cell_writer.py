@@ -10,6 +10,7 @@ from mbcacq.files import angles
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.cell_schema import QUANTITIES, joint_key
 from mbcacq.model.yaml12 import Flow, FlowList, dump
+from mbcacq.quantities import from_degrees, in_degrees
 
 FORMAT = "mbcacq-observation-set/1"
 
@@ -88,7 +89,11 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
     if robot.balancer is not None:
         data["balancer"] = robot.balancer
     data["links"] = [
-        Flow(_kind_of_joint(robot, i) | {joint_key(k, kind[i]) if k in QUANTITIES else k: v[i] for k, v in columns.items()} | _drive(robot, i))
+        Flow(
+            _kind_of_joint(robot, i)
+            | {joint_key(k, kind[i]) if k in QUANTITIES else k: v[i] for k, v in columns.items()}
+            | _drive(robot, i)
+        )
         for i in range(n)
     ]
     if chain.root is not None:
@@ -102,6 +107,11 @@ def _kind_of_joint(robot: RobotModel, i: int) -> dict[str, Any]:
     """What is not as of the revolute joints of an arm."""
     out = {"type": "prismatic"} if robot.chain.prismatic[i] else {}
     named = {"name": robot.names[i]} if robot.names else {}
+    for joint, leader, ratio in robot.chain.follows:
+        if joint == i:
+            slides = robot.chain.prismatic
+            unit = 1.0 if slides[i] == slides[leader] else (in_degrees(1.0) if slides[leader] else from_degrees(1.0))
+            named["follows"] = Flow({"link": leader + 1, "ratio": float(ratio * unit)})
     return out | named | ({"carries": "artefact"} if i < robot.chain.floor else {})
 
 
