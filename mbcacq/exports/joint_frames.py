@@ -15,8 +15,10 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: a joint that coun
 def joint_frames(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Each joint's frame in the one before it, the first in the base: (n, 4, 4); and the flange in the last joint's frame (4, 4).
 
-    Joint i turns about its z by the controller's angle, or slides along it. A row is H_i = Rz(q + theta) Tz(d) Tx(a) Rx(alpha)
-    Ry(beta). The part before a joint is the last three factors of the row before and the first two of its own, which do not move with its angle in any other order.
+    Joint i turns about its z by the controller's angle, or slides along it. A row is
+    H_i = Rz(q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). The
+    part before a joint is the last three factors of the row before and the first two of its own, which do not move with its angle in any
+    other order.
     """
     zero = chain.with_rows(chain.rows * [1, 1, 0, 0, 0]).link_transforms(np.zeros((1, chain.n)))[0]
     behind = behind_joints(chain)

@@ -110,10 +110,11 @@ class Chain:
     def same_links(self, other: Chain) -> bool:
         """Whether another chain has as many axes of the same kinds, which turn the same way, and the same rows but for rounding."""
         alike = type(self) is type(other) and self.n == other.n and (self.sliding, self.floor) == (other.sliding, other.floor)
-        alike = alike and np.allclose(self.coupling, other.coupling)
-        return alike and bool(
-            np.allclose(self.rows, other.rows) and np.all(self.sign == other.sign) and np.allclose(self._first, other._first)
-        )
+        return alike and all(np.allclose(*pair) for pair in zip(self._numbers, other._numbers, strict=True))
+
+    @property
+    def _numbers(self) -> tuple[np.ndarray, ...]:
+        return self.rows, self.sign, self.coupling, self._first
 
     @property
     def _first(self) -> np.ndarray:
@@ -155,7 +156,8 @@ class Chain:
     def frames(self, q: np.ndarray, displacement: np.ndarray | None = None) -> np.ndarray:
         """T_base_link for all links: (P, n+1, 4, 4); [:, 0] is the base, [:, n] the flange.
 
-        q: (P, n) rad, mm of a prismatic joint. displacement: (P, n+1, 6) local twists applied behind each frame (0: base, n: flange), or None.
+        q: (P, n) rad, mm of a prismatic joint. displacement: (P, n+1, 6) local twists applied behind each frame (0: base, n: flange), or
+        None.
         """
         step = self.link_transforms(q)
         out = np.empty((len(q), self.n + 1, 4, 4), dtype=step.dtype)

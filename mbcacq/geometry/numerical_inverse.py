@@ -45,7 +45,8 @@ SAMPLED = SolverOptions(rounds=3, quiet_rounds=1)
 
 @dataclass(frozen=True)
 class NumericalInverse:
-    """Solver of one chain. limits: (n, 2) rad, mm of a prismatic joint. preferred: (n,) rad, a posture from which every target is tried first, or None."""
+    """Solver of one chain. limits: (n, 2) rad, mm of a prismatic joint. preferred: (n,), a posture from which every target is tried first,
+    or None."""
 
     chain: Chain
     limits: np.ndarray

@@ -138,7 +138,7 @@ def joint_key(quantity: str, kind: str) -> str:
 
 
 class FollowsSpec(Strict):
-    """The joint that a joint moves with, by its number in the list of links, and the ratio of their motions: deg or mm for each deg or mm."""
+    """The joint that a joint moves with, by its number in the list of links, and the ratio of their motions, in deg and mm."""
 
     link: Annotated[int, Field(ge=1)]
     ratio: Annotated[float, Field(ge=-1e4, le=1e4)] = 1.0
