@@ -352,7 +352,9 @@ def heavy_arms(given: argparse.Namespace) -> None:
     text = [
         "# Heavy arms at rest",
         "",
-        f"Made by `python benchmarks/diagnosis.py heavy-arms --cells {given.cells}`: {len(rows)} cells of the fake world. rms errors (3D)",
+        "**Question.** How much of a heavy arm's error does a diagnosis remove?",
+        "",
+        f"`python benchmarks/diagnosis.py heavy-arms --cells {given.cells}`: {len(rows)} cells of the fake world. rms errors (3D)",
         "on held-out stations or blocks of poses.",
         "",
         f"Removed: {100 * min(shares):.0f} % at least, {100 * float(np.median(shares)):.0f} % in the median (published for an arm of this",

@@ -232,6 +232,8 @@ def main() -> None:
     size = f" --arms {options.arms} --days {options.days} --study-arms {options.study_arms}"
     page = f"""# Fleet
 
+**Question.** How fast does a fleet go, what does it find, and how many poses does a prior save?
+
 `python benchmarks/fleet.py{size} --write`: {total} made recordings ({options.arms} arms, {options.days} days, a small plan of
 {rows[0].poses} poses each) through `mbcacq fleet`, on a two-core machine (load {load:.1f} at the start).
 
@@ -246,10 +248,8 @@ def main() -> None:
 
 Two workers over one: {ranged(rates[1] / rates[0])} (1.8 asked). What the computer allows, two plain processes over one:
 {ranged(rates[3] / rates[2])}. Two workers reach {ranged(rates[1] / rates[3])} of the rate of two plain processes.
-Medians of {ROUNDS} rounds (lowest to highest), in each of which all four are measured one after the other. Killed and resumed
-over the run of one worker that followed: {half[1] / rates[0][0]:.2f} and {rest[1] / rates[0][0]:.2f}. A recording takes
-{1e3 * processor:.0f} ms of processor time. Rates are from the first result to the last: neither the start of the cluster is in them nor
-the table and the page in the end.
+Medians of {ROUNDS} rounds (lowest to highest). A recording takes
+{1e3 * processor:.0f} ms of processor time.
 
 {repeated} of the {half[2]} results that were there after the kill were made again.
 

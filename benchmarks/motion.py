@@ -136,7 +136,9 @@ def designed_motion(seed: int) -> dict[str, Any]:
 
 INTRODUCTION = """# A motion that tells a balancer from masses
 
-Made by `python benchmarks/motion.py excitation --write`. A KR 10 (MuJoCo, the cell of `plans/seeing.yaml`) has a balancer at A2 that nobody
+**Question.** Does the motion that the program designs show a balancer that a small motion hides?
+
+`python benchmarks/motion.py excitation --write`. A KR 10 (MuJoCo, the cell of `plans/seeing.yaml`) has a balancer at A2 that nobody
 described, friction at A2, and masses 2 % off their description. It is recorded for 20 s over 27 deg to either side of A2's home, then twice
 along the motion of `mbcacq plan design --motion`. Expected standard deviations are those that the command prints, for the recording alone
 and with the motion once. No motion separates a load on the flange from the mass of the last link, only a known weight does.

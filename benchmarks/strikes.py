@@ -305,13 +305,13 @@ def share(yes: int, n: int) -> str:
 
 
 def lines(rows: list[dict]) -> list[str]:
-    """Tables: by accident, by form of recording, and of undisturbed sets."""
+    """Tables: by the thing that an accident strikes (the first word of its name), and of undisturbed sets."""
     hit, still = [row for row in rows if row["kind"]], [row for row in rows if not row["kind"]]
     out = []
     heads = ("sets", "a change is named", "refused or warned", "silent", "silent beyond 3 sigma", "moment within 2 poses")
-    for title, key, names in (("accident", "kind", list(ACCIDENTS)), ("recording", "form", list(FORMS))):
-        groups = [(name, [row for row in hit if row[key] == name]) for name in names]
-        out += [*table((title, *heads), [(name, *_counts(some)) for name, some in (*groups, ("**all**", hit)) if some]), ""]
+    struck_things = dict.fromkeys(name.split()[0].removesuffix("'s") for name in ACCIDENTS)
+    groups = [(thing, [row for row in hit if row["kind"].startswith(thing)]) for thing in struck_things]
+    out += [*table(("struck", *heads), [(name, *_counts(some)) for name, some in (*groups, ("**all**", hit)) if some]), ""]
     if still:
         said = [sum(row["said"] == way for row in still) for way in ("change", "warned", "refused")]
         beyond = sum(row["z"] > 3 for row in still)

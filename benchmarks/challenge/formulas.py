@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
-from bench import HERE, PLANS, Kept
+from bench import HERE, PLANS, Kept, table
 
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
@@ -24,14 +24,14 @@ from mbcacq.workflow.effect_draft import write_draft
 
 EXCESS = 3.0  # by which the effect raises chi2 per degree of freedom: plainly there, and no larger than others of an arm
 SEEDS = (61001, 61002)
-INTRODUCTION = [
-    """# Formulas for effects outside the catalogue
+INTRODUCTION = """# Formulas for effects outside the catalogue
 
-Made by `python benchmarks/challenge.py formulas --write` on the poses of `plans/seeing.yaml` (128 poses, the fast path of `mbcacq
-challenge`). The fake cell conceals each effect and computes it by its physics. The effect is so strong that it raises chi2 per degree of
-freedom by 3 once geometry has absorbed what it can. The catalogue has none of these effects. `mbcacq diagnose --propose` sees the recording
-alone."""
-]
+**Question.** Is the true formula among those that `mbcacq diagnose --propose` proposes?
+
+`python benchmarks/challenge.py formulas --write`: poses of `plans/seeing.yaml` (128, the fast path of `mbcacq challenge`). The fake cell
+conceals each effect and computes it by its physics, so strong that it raises chi2 per degree of freedom by 3 once geometry has absorbed
+what it can. The catalogue has none of these effects, and the diagnosis sees the recording alone.
+"""
 
 
 # Kinds whose form (tanh, exp of a travel) no sum of terms of the dictionary is: a formula of them is right where all its terms are
@@ -155,26 +155,22 @@ def formulas_page(rows: list[dict[str, Any]]) -> str:
     """The page."""
     right = sum(r["rank"] is not None for r in rows)
     first = sum(r["rank"] == 1 for r in rows)
-    lines = [
-        *INTRODUCTION,
-        f"""
-The true formula (its covariates and functions, at its location or one that acts alike) is first in {first} of {len(rows)} cells, and
-among the first three in **{right} of {len(rows)}**. The forms of {", ".join(OF_COVARIATES)}
+    explained = sum(r["with_draft"] == "explained: the draft" for r in rows)
+    said = f"""Of {len(rows)} cells the true formula (covariates, functions, location) is first in {first}, among the first three in
+**{right}**, and {explained} are explained by the draft once it is in the catalogue. The forms of {", ".join(OF_COVARIATES)}
 are not in the dictionary; a formula of their true covariates alone counts for them.
-""",
-    ]
-    heads = ("effect", "cell", "true", "rank", "verdict", "held-out chi2/dof: before, with it, smooth model")
-    heads = (*heads, "again in", "with the draft in the catalogue", "s")
-    lines += [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
-    for r in rows:
-        best = r["proposals"][0] if r["proposals"] else None
-        scores = f"{best['before']:.2f}, {best['after']:.2f}, {best['smooth']:.2f} | {best['found_in']}/{best['parts']}" if best else "|"
-        true = f"{r['terms']} at {'+'.join(r['where'])}"
-        lines.append(
-            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {scores} | {r['with_draft']} "
-            f"| {r['seconds']:.0f} |"
-        )
-    return "\n".join([*lines, ""])
+"""
+    heads = ("effect", "true", "ranks", "verdicts", "held-out chi2/dof: before, with it")
+    by_kind = {kind: [r for r in rows if r["kind"] == kind] for kind in dict.fromkeys(r["kind"] for r in rows)}
+    lines = []
+    for kind, cells in by_kind.items():
+        best = [r["proposals"][0] for r in cells if r["proposals"]]
+        verdicts = ", ".join(dict.fromkeys(r["verdict"] for r in cells))
+        ranks = ", ".join(str(r["rank"] or "-") for r in cells)
+        scores = "; ".join(f"{p['before']:.2f}, {p['after']:.2f}" for p in best)
+        true = ", ".join(dict.fromkeys(f"{r['terms']} at {'+'.join(r['where'])}" for r in cells))
+        lines.append((kind, true, ranks, verdicts, scores))
+    return "\n".join([INTRODUCTION, said, *table(heads, lines), ""])
 
 
 def formulas(given: argparse.Namespace) -> None:

@@ -10,15 +10,15 @@ from dataclasses import asdict
 from functools import partial
 
 import numpy as np
-from bench import HERE, PLANS, Kept, put, wilson
+from bench import HERE, PLANS, Kept, put, table, wilson
 from detection_power import PowerCell, evidence_of, ninety_percent_point, search_multiple, try_cell, with_interval
 from statements import contradictions
 
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.run import _begin, _take
-from mbcacq.challenge.scenarios import NONE, Scenario, draw, kinds
+from mbcacq.challenge.scenarios import Scenario, draw, kinds
 from mbcacq.challenge.score import Score
-from mbcacq.challenge.table import markdown, row, summary
+from mbcacq.challenge.table import COLUMNS, row, text
 from mbcacq.diagnosis.result import Diagnosis
 
 # part: title, seed, effects, how many, share of outliers, missing columns
@@ -38,20 +38,10 @@ MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
 CELLS = 40
 POWER_TEXT = """
-Share of cells in which the diagnosis names the effect at its location (or as one of two that it cannot tell apart). In brackets are the
-shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings. Both tests know name and location and estimate the
-noise; one knows order and moment too, and the other estimates them with the other parameters. Strengths are multiples of that at which a
-test that knew the noise as well would find nine in ten. Further columns say where each finds nine in ten (the most likely cumulative
-normal), and the ratio to either test (95 % interval by drawing cells again). The last two are the ratio to the first test that the best
-test needs which knows nothing (median of the cells). It has 2 % or 0.5 % false alarms, shared by all places of all effects and there by
-orders and moments.""".splitlines()
-
-
-RATES = (0.02, 0.005)  # false alarms of the best search
-E_VALUE_TEXT = """
-False alarms and power by the same recordings, for other least e-values. The columns are the clean cells above it, and the multiple of the
-strength for the informed test at which nine in ten effects are reported. Below the e-value in use, the effects counted are those in the
-most probable set.""".splitlines()
+Strength at which nine in ten effects are named at their location, over the strength that a likelihood-ratio test (level 1 %) needs. The \
+test knows name and place and estimates the rest. Last: the ratio that the best search needs which knows nothing and has 2 % false alarms.
+"""
+FALSE_ALARMS = 0.02  # of the best search
 
 
 def measured(measure: Callable, todo: list, jobs: int) -> Iterator[tuple]:
@@ -109,35 +99,39 @@ def code() -> str:
 CODE = code()
 
 
+HEADS = ("cells", "challenges", "named and placed, located, or false alarms", *COLUMNS[6:9])
+
+
 def score_page(kept: list[dict]) -> str:
-    lines = list[str]()
-    for part, (title, seed, effects, *_rest) in PARTS.items():
+    lines = []
+    for part, (title, *_rest) in PARTS.items():
         mine = [r for r in kept if r["part"] == part]
-        if not mine:
-            continue
-        scores = [Score(**r["score"]) for r in mine]
-        rows = [each for each in summary(scores) if each["kind"] == NONE or each["kind"].startswith("all")]
-        seconds = np.array([r["seconds"] for r in mine])
-        took = f"a diagnosis took {np.median(seconds):.1f} s in the median, {seconds.max():.1f} s at most, beside other work"
-        commits = ", ".join(dict.fromkeys(r.get("code", "unknown") for r in mine))
-        lines += [f"## {title}", "", f"{len(mine)} challenges, seed {seed}, {effects}, code {commits}; {took}.", "", markdown(rows), ""]
-        lines += bounds(part, scores)
-        lines += failures(mine, scores)
-        lines += against_itself([r["contradictions"] for r in mine if "contradictions" in r])
-    return "\n".join(lines + power_lines(kept))
+        if mine:
+            scores = [Score(**r["score"]) for r in mine]
+            every = row(title, scores)
+            rates = [text(every[column]) for column in COLUMNS[6:9]]
+            lines.append([title[0].lower() + title[1:], len(mine), bounds(part, scores), *rates])
+    return "\n".join(table(HEADS, lines) + power_lines(kept))
 
 
-def bounds(part: str, scores: list[Score]) -> list[str]:
-    """95 % bounds (Wilson) of the rate that matters in this part."""
+def bounds(part: str, scores: list[Score]) -> str:
+    """The rate that matters in this part, with its 95 % interval (Wilson)."""
     count = [s for s in scores if s.counts]
     clean = [s.detected for s in scores if not s.truth]
-    right = ("named and placed", [s.placed for s in count])
-    name, yes = {"clean": ("false alarms", clean), "outside": ("located", [s.located for s in count])}.get(part, right)
-    if not yes:
-        return []
-    low, high = wilson(sum(yes), len(yes))
-    share = f"{100 * np.mean(yes):.1f} %, 95 % interval {low:.1f} to {high:.1f} %"
-    return [f"{name.capitalize()}: {sum(yes)} of {len(yes)} ({share}).", ""]
+    yes = {"clean": clean, "outside": [s.located for s in count]}.get(part, [s.placed for s in count])
+    low, high = wilson(sum(yes), len(yes)) if yes else (0.0, 100.0)
+    return f"{sum(yes)} of {len(yes)} ({low:.1f} to {high:.1f} %)"
+
+
+def not_right(kept: list[dict]) -> list[str]:
+    """A line for each challenge of which the diagnosis is not right, and for those that contradict themselves."""
+    lines = []
+    for part, (title, *_rest) in PARTS.items():
+        mine = [r for r in kept if r["part"] == part]
+        said = failures(mine, [Score(**r["score"]) for r in mine])
+        said += against_itself([r["contradictions"] for r in mine if "contradictions" in r])
+        lines += [f"{title}: {one}" for one in said if one]
+    return lines
 
 
 def against_itself(each: list[list[str]]) -> list[str]:
@@ -154,63 +148,45 @@ def failures(records: list[dict], scores: list[Score]) -> list[str]:
         for r, s in zip(records, scores, strict=True)
         if (s.counts and not (s.placed or s.located and s.kind in kinds("outside") and not s.confident)) or (not s.truth and s.detected)
     ]
-    if not bad:
-        return []
-    wrong = [
-        f"- number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was reported as "
+    return [
+        f"number {r['number']}: {', '.join(s.truth) or 'nothing'} ({100 * s.achievable:.0f} % to gain) was reported as "
         f"{', '.join(s.reported) or 'nothing'}, {s.verdict}"
         for r, s in bad
     ]
-    return ["Not right:", "", *wrong, ""]
 
 
 def power_lines(kept: list[dict]) -> list[str]:
     mine = [r for r in kept if r["part"] == "power"]
-    if not mine:
-        return []
-    lines = [
-        "## Power",
-        *POWER_TEXT,
-        "",
-        "| effect | cells | " + " | ".join(f"{m:g}" for m in MULTIPLES) + " | 90 % at | all known | "
-        "ratio | name and place known | ratio | " + " | ".join(f"best search, {100 * rate:g} %" for rate in RATES) + " |",
-        "|---|--:|" + "--:|" * (len(MULTIPLES) + 5 + len(RATES)),
-    ]
+    rows = []
     for name in POWER:
         cells = [r for r in mine if r["effect"] == name]
-        if not cells:
-            continue
-        found, *known = (np.array([r[which] for r in cells], dtype=bool) for which in ("found", "informed", "estimating"))
-        rates = zip(*(100 * each.mean(axis=0) for each in (found, *known)), strict=True)
-        shown = " | ".join(f"{a:.0f} % ({b:.0f}, {c:.0f})" for a, b, c in rates)
-        ratios = " | ".join(against(found, each) for each in known)
-        limits = (np.median([search_multiple(r["coefficients"], r["share"], rate) for r in cells]) for rate in RATES)
-        best = " | ".join(f"{m:.2f}" for m in limits)
-        lines.append(f"| {name} | {len(cells)} | {shown} | {ninety_percent_point(MULTIPLES, found):.2f} | {ratios} | {best} |")
-    return [*lines, "", *e_value_lines(kept, mine)]
+        if cells:
+            found, known = (np.array([r[which] for r in cells], dtype=bool) for which in ("found", "estimating"))
+            best = np.median([search_multiple(r["coefficients"], r["share"], FALSE_ALARMS) for r in cells])
+            rows.append([name, against(found, known), f"{best:.2f}"])
+    return [POWER_TEXT, *table(["effect", "ratio (95 %)", "best search"], rows)] if rows else []
 
 
-def e_value_lines(kept: list[dict], power: list[dict]) -> list[str]:
-    """What another least e-value would have given."""
+def thresholds(kept: list[dict]) -> list[str]:
+    """Lines: what another least e-value would have given, in clean cells and in strengths."""
     clean = np.array([r["log_e_value"] for r in kept if r["part"] == "e-values"])
-    if not len(clean):
-        return []
+    power = [r for r in kept if r["part"] == "power"]
     names = [name for name in POWER if any(r["effect"] == name for r in power)]
-    lines = [*E_VALUE_TEXT, "", f"| e-value above | of {len(clean)} clean | {' | '.join(names)} |", "|---|--:|" + "--:|" * len(names)]
-    for least in np.log(LEAST):
+    lines = []
+    for least in np.log(LEAST) if len(clean) else ():
         found = [np.array([r["log_e_values"] for r in power if r["effect"] == name]) > least for name in names]
-        points = " | ".join(f"{ninety_percent_point(MULTIPLES, each):.2f}" for each in found)
-        lines.append(f"| {np.exp(least):g} | {np.sum(clean > least)} | {points} |")
-    return [*lines, ""]
+        points = ", ".join(f"{name} {ninety_percent_point(MULTIPLES, each):.2f}" for name, each in zip(names, found, strict=True))
+        lines.append(f"e-value above {np.exp(least):g}: {np.sum(clean > least)} of {len(clean)} clean; nine in ten at {points}")
+    return lines
 
 
 def against(found: np.ndarray, known: np.ndarray) -> str:
-    """Where a test that knows more finds nine in ten, and the ratio to it."""
+    """The ratio to a test that knows more, of where each finds nine in ten."""
     # who must estimate the noise cannot need less than who knows it
     ratio, low, high = with_interval(
         lambda cells: ninety_percent_point(MULTIPLES, found[cells]) / max(ninety_percent_point(MULTIPLES, known[cells]), 1.0), len(found)
     )
-    return f"{max(ninety_percent_point(MULTIPLES, known), 1.0):.2f} | {ratio:.2f} ({low:.2f} to {high:.2f})"
+    return f"{ratio:.2f} ({low:.2f} to {high:.2f})"
 
 
 OTHERS = {"power": measure_power, "e-values": measure_e_values}
@@ -224,5 +200,6 @@ def score(given: argparse.Namespace) -> None:
     kept = Kept(given.kept)
     for part in given.only:
         OTHERS.get(part, partial(measure_part, part))(given.share, given.jobs, kept)
-        put(given.out, f"\n{score_page(kept.rows)}")
+        put(given.out, score_page(kept.rows))
+    print(*not_right(kept.rows), *thresholds(kept.rows), sep="\n")
     print(row("all", [Score(**r["score"]) for r in kept.rows if "score" in r]))

@@ -21,7 +21,9 @@ LOCATIONS = 90  # of all effects, which share the false alarms
 FALSE_ALARMS = 0.02
 BALL = """# A ball that is not where its certificate says
 
-Made by `python benchmarks/detection.py ball-shift`: 128 poses, every ball seen in 72 of them, centres measured to 5 to 9 um,
+**Question.** How small a shift of one ball can be found?
+
+`python benchmarks/detection.py ball-shift`: 128 poses, every ball seen in 72 of them, centres measured to 5 to 9 um,
 balls certified to 1 um.
 The shift is known to {sd} um (x, y, z; geometry free). Shares of {draws} draws, mean of three balls, shifts in random directions.
 

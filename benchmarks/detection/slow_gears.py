@@ -124,14 +124,13 @@ def slow_gears_page(kept: list[dict[str, Any]]) -> str:
 
 SLOW_GEARS = """# Slow gear errors
 
-Made by `python benchmarks/detection.py slow-gears --write`. One error of a gear of order 1 or 2 at A2 or A3 is concealed in each cell. It
+**Question.** What does a diagnosis say of slow gear errors, and how often is it false?
+
+`python benchmarks/detection.py slow-gears --write`. One error of a gear of order 1 or 2 at A2 or A3 is concealed in each cell. It
 is 0.5 to 5 times as large as a barely detectable one (chi2 rises by 30), and at most 0.05 deg. Such an error trades with geometry and
 gravity. The diagnosis may say four things. The effect is *named* (or an unmodelled effect is, at the same joint). It is an *alternative*
 that is not excluded. The *limit* stated for its order *holds*. Its order was *not tested* by these poses. False are a *limit* below the
-truth and *another name* at the same joint with the truth excluded; asked: not more than 5 %.
-
-In an earlier program eight of the 24 cells 1 to 8 of each plan were false. A limit was that of a median order then, and a balancer was
-as probable on a light arm as on a heavy one. Two were limits below the truth, and six had a balancer in the place of the gear."""
+truth and *another name* at the same joint with the truth excluded; asked: not more than 5 %."""
 
 
 def slow_gears(given: argparse.Namespace) -> None:

@@ -136,7 +136,9 @@ def page(kept: list[dict[str, Any]]) -> str:
 
 PAGE = """# Learnt here, tried elsewhere
 
-Made by `python benchmarks/effects_loop.py elsewhere --write`. A simulated cell with one effect, of the catalogue or outside of it, is
+**Question.** Does what is learnt hold at new stations and in new regions of the joints?
+
+`python benchmarks/effects_loop.py elsewhere --write`. A simulated cell with one effect, of the catalogue or outside of it, is
 recorded on the poses of `plans/seeing.yaml` and diagnosed. The arm is calibrated with the effects that were found, and tried on another
 recording. Its stations are turned about the base by 70 or -80 deg and lower, so that A1 leaves the range that it had (with the first A3
 too). They are seen from other sides. Base, tool and stations are fitted there. Asked: not worse than the learnt geometry alone beyond

@@ -265,52 +265,47 @@ def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
     true |= {("inertia", "link6", "mass_kg"): TOOL["mass"], ("sensor_delay", "tau", "delay_s"): DELAY_S}
     true |= {("inertia", "link6", f"centre_{a}_mm"): 1e3 * float(v) for a, v in zip("xyz", TOOL["pos"].split(), strict=True)}
     true |= {("inertia", "link6", f"inertia_{a}{a}_kg_m2"): float(v) for a, v in zip("xyz", TOOL["diaginertia"].split(), strict=True)}
-    seen = {(p.name, p.where, p.parameter) for p in match.parameters}
     concealed = {("friction", j) for j in JOINTS} | {("joint_compliance", "A2"), ("payload", "mount"), ("channel_latency", "tau")}
     effects = sorted({(e.name, "+".join(e.where)) for e in found.named_effects})
-    named = [f"{name} at {where}" for name, where in effects]
     wrong = [f"{name} at {where}" for name, where in effects if (name, where) not in concealed]
-    asked = sorted({f"{p.name} of {p.where}" for p in match.parameters if not p.named})
+    off = {k: abs(p.after - true[k]) / p.std for p in match.parameters if (k := (p.name, p.where, p.parameter)) in true}
+    friction = [v for key, v in off.items() if key[0] == "friction"]
     lines = [
         "# A MuJoCo model against a recording by another",
+        "",
+        "**Question.** Does a diagnosis find what a model lacks, and write it back as well as a peer that is told what to fit?",
         "",
         "    pip install 'mujoco[sysid]'",
         "    python benchmarks/motion.py mujoco --write",
         "",
-        "A six-axis arm with position servos, as MJCF. It is recorded by a second model that conceals friction in all joints, a tool, an",
-        f"elastic A2 and torques that are {1e3 * DELAY_S:g} ms late. Two motions of {SECONDS:g} s are diagnosed (`--simulation`), a third",
-        "is held out. The recorder is stepped by code of its own. Noise:",
-        f"{NOISE['q']:g} rad on the motors' angles, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m on the torques.",
+        "A six-axis arm with position servos, as MJCF. A second model records it, with friction in all joints, a tool, an elastic A2 and",
+        f"torques that are {1e3 * DELAY_S:g} ms late; it is stepped by code of its own. Two motions of {SECONDS:g} s are diagnosed",
+        f"(`--simulation`), a third is held out. Noise: {NOISE['q']:g} rad, {NOISE['side']:g} rad behind the gears, {NOISE['tau']:g} N m.",
         "",
-        f"Named by the diagnosis: {', '.join(named)}.",
+        f"Not named: {', '.join(' at '.join(c) for c in sorted(concealed - set(effects))) or 'nothing'}.",
         f"Named and not concealed: {', '.join(wrong) or 'nothing'}{NOT_WRITTEN if wrong else ''}.",
-        f"Asked for by the residual that was left: {', '.join(asked) or 'nothing'}.",
         "",
         "## Written into the model",
+        "",
+        f"{len(friction)} parameters of friction, at most {max(friction, default=0.0):.1f} sigmas off, and",
         "",
         "| | given | found | concealed | sigmas |",
         "|---|--:|--:|--:|--:|",
     ]
     for p in match.parameters:
         key = (p.name, p.where, p.parameter)
-        goal = true.get(key)
-        off = "" if goal is None else f"{abs(p.after - goal) / p.std:.1f}"
-        row = f"| {p.name} {p.where} `{p.parameter}` | {p.given} | {p.found} ± {p.std:.2g} |"
-        lines.append(f"{row} {'nothing' if goal is None else f'{goal:g}'} | {off} |")
-    missed = [" ".join(k) for k in true if k not in seen]
-    lines += [
-        "",
-        f"Concealed and not found: {', '.join(missed) or 'nothing'}.",
-        "",
-        "## New runs by the recorded set points, on the held-out motion",
-        "",
-    ]
+        if key not in off or p.name != "friction":
+            goal, sigmas = (f"{true[key]:g}", f"{off[key]:.1f}") if key in off else ("nothing", "")
+            lines.append(f"| {p.name} {p.where} `{p.parameter}` | {p.given} | {p.found} ± {p.std:.2g} | {goal} | {sigmas} |")
+    lines += ["", "## New runs by the recorded set points, on the held-out motion (rms of the axes)", ""]
     head, rule = "| channel | noise | given model | model found |", "|---|--:|--:|--:|"
     lines += [head + (" `mujoco.sysid` |" if peer else ""), rule + ("--:|" if peer else "")]
     checks = match.checks[0].errors
-    for k, e in enumerate(checks):
-        row = f"| {e.channel}, {e.unit} | {e.noise:.3g} | {e.before:.3g} | {e.after:.4g} |"
-        lines.append(row + (f" {others[k].after:.4g} |" if peer else ""))
+    for name in dict.fromkeys((kind(e.channel), e.unit) for e in checks):
+        of = [k for k, e in enumerate(checks) if (kind(e.channel), e.unit) == name]
+        columns = [[getattr(checks[k], which) for k in of] for which in ("noise", "before", "after")]
+        columns += [[others[k].after for k in of]] if peer else []
+        lines.append(f"| {', '.join(name)} | " + " | ".join(f"{np.sqrt(np.mean(np.square(c))):.4g}" for c in columns) + " |")
     lines += [
         "",
         "## Accuracy and time",
@@ -329,12 +324,9 @@ def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
             "",
             conclusion(ours / theirs, cost.processor_s / cost_of_peer.processor_s),
             "",
-            "`mujoco.sysid` was given the parameters to fit, with bounds and plausible starts, and got the hinge of the gear, the",
-            "sensors, the weights of the channels, the samples and the settled start of this program. Without that it cannot begin. Its",
-            "optimiser runs by its own stopping rules, in passes, each with residuals scaled by what was left before it, until these",
-            f"weights change by less than {SAME_WEIGHTS:.0%}: {len(peer.iterations)} passes of {iterations} iterations.",
-            f"{end} (of {PASSES} passes and {ITERATIONS} iterations each).",
-            "Its starts and bounds were chosen for this benchmark; with others",
+            "`mujoco.sysid` was given the parameters to fit with bounds and starts, the hinge of the gear, the sensors, the weights, the",
+            f"samples and the settled start. Its optimiser ran {len(peer.iterations)} passes of {iterations} iterations, until the weights",
+            f"of the channels changed by less than {SAME_WEIGHTS:.0%}. {end}. With other starts",
             "it may take more or less. Both used two threads.",
         ]
     return "\n".join(lines) + "\n"
@@ -343,7 +335,7 @@ def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
 def conclusion(errors: float, times: float) -> str:
     """In words; errors, times: of this program over those of the peer."""
     accuracy = "Both are equally accurate" if abs(errors - 1) < 0.01 else f"This program leaves {errors:.2g} times the mean square"
-    return f"{accuracy}. This program finds by itself which parameters to fit, and takes {times:.2g} times the processor time of the peer."
+    return f"{accuracy}. This program finds the parameters itself and takes {times:.2g} times the processor time."
 
 
 def excess(errors) -> float:

@@ -42,19 +42,10 @@ def tried(cell: mbcacq.CalibratedCell, alone: mbcacq.CalibratedCell, other: Obse
     error, left = found.normalised_error, found.parts_left_out
     row = (
         f"| {name} | {own:.3f} | {found.geometry_alone.rms_mm:.3f} | {found.with_effects.rms_mm:.3f} | "
-        f"{left.as_learnt.rms_mm:.3f} -> {left.drawn_anew.rms_mm:.3f} | {error.rms:.2f} | {error.share_below_3:.1%} | {joints(cell)} |"
+        f"{left.as_learnt.rms_mm:.3f} -> {left.drawn_anew.rms_mm:.3f} | {error.rms:.2f} | {error.share_below_3:.1%} |"
     )
     print(row, flush=True)
     return row
-
-
-def joints(cell: mbcacq.CalibratedCell) -> str:
-    """The joints that share a pattern of error, with their offsets."""
-    pattern = cell.extra.get("common_pattern")
-    if not pattern:
-        return "none"
-    each = zip(pattern["joints"], pattern["offset"], pattern["direction"], strict=True)
-    return ", ".join(f"A{j + 1} {np.degrees(o):.0f} deg{'' if d > 0 else ' mirrored'}" for j, o, d in each)
 
 
 def ur5(data: Path) -> list[str]:
@@ -82,7 +73,7 @@ def ur10(data: Path, poses: int) -> list[str]:
 
 HEADER = (
     "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | parts left out: as learnt -> drawn anew mm | "
-    "error over uncertainty, rms | below 3 | one pattern in |"
+    "error over uncertainty, rms | below 3 |"
 )
 
 
@@ -92,7 +83,7 @@ def transfer(given: argparse.Namespace) -> None:
     UR10: learnt on one campaign, checked on the other, both ways (base, tool and stations of the other fitted). UR5: learnt on a
     700-pose half of its grid, checked on the rest, and on the 20 poses that lie farthest from any learnt pose in the joints.
     """
-    head = [HEADER, "|---|---|---|---|---|---|---|---|"]
+    head = [HEADER, "|---|---|---|---|---|---|---|"]
     print(*head, sep="\n", flush=True)
     rows = ur5(given.data) if given.only != "ur10" else []
     rows += ur10(given.data, given.poses) if given.only != "ur5" else []

@@ -238,6 +238,8 @@ def gocator(given: argparse.Namespace) -> None:
         tables = ["\n".join(decoding(library, given.repetitions)), "\n".join(whole_way(library, given.repetitions))]
     text = f"""# Gocator decode
 
+**Question.** How fast does a Gocator message become points?
+
 {SHAPE[0]} x {SHAPE[1]} pixels; median processor time in ms of {given.repetitions} turns, numpy {np.__version__}, {platform.machine()}.
 Made by `python benchmarks/speed.py gocator --write`. C: one pass of a loop, `gcc -O3 -march=native`, in the same run
 (`speed/gocator_decode.c`), which makes the same arrays; with NaN it makes less, every pixel and no index.

@@ -64,7 +64,7 @@ def inverse_kinematics(given: argparse.Namespace) -> None:
     Poses are those of random joint angles within the limits, so every one can be reached. The branches of the UR arms are compared with
     the closed form for three parallel axes, those of the KR 10 R1100-2 with py-opw-kinematics.
     """
-    lines = ["# Numerical inverse kinematics", ""]
+    lines = ["# Numerical inverse kinematics", "", "**Question.** Does the numerical solver find every reachable pose?", ""]
     lines += [f"Random reachable poses, {given.poses} an arm. Made by `python benchmarks/speed.py inverse-kinematics {given.poses}`.", ""]
     lines += ["| arm | axes | solved | without a solution | largest miss, mm | ms a pose |", "|---|---|---|---|---|---|"]
     for name in ARMS:

@@ -26,6 +26,7 @@ COMMANDS = {
     "plan": "make, show, check or design a plan, without opening a socket",
     "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",
     "data": "make an observation set of files from other programs",
+    "hand-eye": "calibrate a camera's hand-eye transformation view by view",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where model and recording differ, and which effects the model lacks",

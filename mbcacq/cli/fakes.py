@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-import threading
+import time
 from pathlib import Path
 
 import click
@@ -43,14 +43,15 @@ def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, s
             echo(f"{len(files) - 1} clouds and {files[-1]}")
             say_next("make a run of them", command_line("collect", plan, "--clouds", clouds, "--joints", files[-1]))
             return
-    quit_event = threading.Event()
+    ended: list[int] = []  # no event: a second signal inside of its set() would wait for the first for ever
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: quit_event.set())
+        signal.signal(number, lambda number, _: ended.append(number))
     with load_driver("fakes", "cell")(loaded, poses, realtime=not fast, seed=seed, ports="plan") as cell:
         echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
-            if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):
+            if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None) and not callable(v)):
                 echo(f"  {role}: {places}")
         echo("Ctrl-C here ends the fake cell")
         say_next("in another terminal", command_line("run", plan, "--yes"))
-        quit_event.wait()
+        while not ended:
+            time.sleep(0.1)

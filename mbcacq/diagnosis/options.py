@@ -11,7 +11,7 @@ class DiagnosisOptions:
 
     # Size of the recording
     fewest_poses: int = 12  # fewer determine geometry and stations but no effect
-    searched_poses: int = 600  # poses of a long recording in which effects are searched: bounds time and memory (diagnosis.md)
+    searched_poses: int = 600  # poses of a long recording in which effects are searched: bounds time and memory (diagnosis-rules.md)
     most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
     folds: int = 4  # of whole stations, or of blocks of one; two where half of the poses are still as many as are searched
 

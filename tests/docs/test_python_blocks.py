@@ -40,7 +40,7 @@ def what_the_page_takes_for_granted(page: Page, desk: Path) -> Iterator[dict]:
     if page.name == "docs/conformance.md":
         with socketserver.TCPServer(("127.0.0.1", 0), socketserver.StreamRequestHandler) as server:
             yield {"device": server.server_address}
-    elif page.name == "docs/gocator.md":
+    elif page.name == "docs/reference/gocator.md":
         yield {"frame": None}
     elif page.name == "docs/how-to/data-from-another-lab.md":
         mbcacq.export(desk / "runs" / "today", observations=desk / "my-set")

@@ -54,10 +54,10 @@ def test_an_effect_in_poses_is_complete(name):
 
 @pytest.mark.parametrize("name", IN_MOTION)
 def test_an_effect_in_motion_is_complete(name):
-    page = (ROOT / "docs" / "trajectories.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "motion-effects.md").read_text(encoding="utf-8")
     further = f"Declaration(challenge=Challenge(in_motion={len(catalogued_in_motion()) + 1}))"
     lacking = {
-        f"docs/trajectories.md does not name {name}: add it to the table of effects": f"`{name}`" not in page,
+        f"docs/reference/motion-effects.md does not name {name}: add it to the table of effects": f"`{name}`" not in page,
         f"no moving fake arm injects {name}: add it to FAULTS of fakes/mbcacq_fakes/dynamics/faults.py": name not in FAULTS,
         f"no challenge in motion draws {name}: declare DECLARED = {further} in its file": name not in catalogued_in_motion(),
     }

@@ -36,7 +36,8 @@ def fake_cell(plan):
         assert line, said
         said += line
     yield said
-    process.terminate()
+    for _ in range(20):  # as `timeout` and service managers do: again before the first has been handled
+        process.terminate()
     assert process.wait(60) == 0, process.stdout.read()
     process.stdout.close()
 

@@ -100,7 +100,12 @@ def main() -> int:
         return 0  # the driver was interrupted while it started this
     settings = json.loads(line)
     parent_gone = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: parent_gone.set())
+
+    def ended(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # a second one inside of set() would wait for the first for ever
+        parent_gone.set()
+
+    signal.signal(signal.SIGTERM, ended)
     shared = Shared.attach(settings["shared"])
     try:
         try:

@@ -6,7 +6,7 @@ kept on its way (see punctuality) is answered with the set point before it. No c
 Delay must not fall behind the set points.
 
 The first fault is kept. It brakes the arm, then ends the controller's session. If the arm does not follow its commands, the session is
-ended at once. If the controller may have begun a new one, nothing is answered any more. docs/safety.md has the argument.
+ended at once. If the controller may have begun a new one, nothing is answered any more. docs/explanation/corrections.md has the argument.
 
 The answer to the next telegram is rendered while the controller waits for nothing: ``reply`` only compares bytes with the expected ones and
 hands it out. ``digest`` does everything else after it was sent: parsing, watching, recording and planning. So a command takes effect one

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,22 +55,54 @@ def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Pat
     row_of = _rows_of(files, poses)
     given = read_intrinsics(camera) if camera else None
     views, rows, missing, size = _found(files, row_of, board, given)
+    at = {file.name: file for file in files}
+    return observations_of_views(ImageViews(board, views, at, missing, size, given), poses.rows(_mask(rows, len(poses))), options)
+
+
+@dataclass(frozen=True)
+class ImageViews:
+    """What images show of a board.
+
+    Attributes
+    ----------
+    board : Board
+    views : list[BoardView]
+        Of the images that show it, in the order of the poses.
+    at : dict[str, Path]
+        Their files by name.
+    missing : list[BoardImage]
+        The other images.
+    size : tuple[int, int]
+        Width and height, px.
+    given : Intrinsics or None
+        None: estimated.
+    """
+
+    board: Board
+    views: list[BoardView]
+    at: dict[str, Path]
+    missing: list[BoardImage]
+    size: tuple[int, int]
+    given: Intrinsics | None
+
+
+def observations_of_views(seen: ImageViews, poses: Table, options: TableOptions) -> UnderstoodTable:
+    """The observations of views of a board and of the arm's poses, a row for each. Raises as ``read_images``."""
+    board, views, size, given = seen.board, seen.views, seen.size, seen.given
     adjusted = adjust_images(board, views, size, given)
     if board.kind in ("aruco", "april"):
-        at = {file.name: file for file in files}
-        views = [replace(v, uv=board.refined(read_grey(at[v.name]), v.ids, v.uv, adjusted.intrinsics)) for v in views]
+        views = [replace(v, uv=board.refined(read_grey(seen.at[v.name]), v.ids, v.uv, adjusted.intrinsics)) for v in views]
         adjusted = adjust_images(board, views, size, given)
     warnings = [] if given is None else _doubts(board, views, size, adjusted)
     if len(board.turns) > 1:
-        views = _turned(board, views, adjusted.T, poses.rows(_mask(rows, len(poses))), options)
+        views = _turned(board, views, adjusted.T, poses, options)
         adjusted = adjust_images(board, views, size, given)
     good = ~adjusted.contradicts
     if good.sum() < LEAST_POSES:
         raise ConfigError(
             f"{int(good.sum())} images agree with the board, at least {LEAST_POSES} are needed; check --board and its measures"
         )
-    kept = np.array(rows)[good]
-    table = _table(poses.rows(_mask(kept, len(poses))), adjusted.T[good], adjusted.covariance[good])
+    table = _table(poses.rows(good), adjusted.T[good], adjusted.covariance[good])
     found = understood(table, replace(options, target="wxyz", target_inverted=False))
     lens = adjusted.intrinsics
     images = BoardImages(
@@ -78,7 +110,7 @@ def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Pat
         values=lens.values,
         root=adjusted.root,
         noise_px=adjusted.sigma_px,
-        images=(*_results(adjusted, views), *missing),
+        images=(*_results(adjusted, views), *seen.missing),
     )
     obs = replace(found.observations, shared=adjusted.shared[good], images=images)
     return UnderstoodTable(obs, (*_sentences(adjusted, board, images), *warnings, *found.sentences))

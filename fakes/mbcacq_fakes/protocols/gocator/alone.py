@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-import threading
+import time
 from typing import Any
 
 
@@ -23,9 +23,10 @@ def sensor_parser(prog: str, doc: str | None, ports: dict[str, int], model: str)
 
 def run_until_signal(made: Any, **about: object) -> None:
     """Open a sensor, print where it listens as one JSON object, and wait for SIGINT or SIGTERM. about: what else is printed."""
-    done = threading.Event()
+    done: list[int] = []  # no event: a second signal inside of its set() would wait for the first for ever
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: done.set())
+        signal.signal(number, lambda number, _: done.append(number))
     with made as sensor:
         print(json.dumps({**sensor.ports._asdict(), **about}), flush=True)
-        done.wait()
+        while not done:
+            time.sleep(0.1)

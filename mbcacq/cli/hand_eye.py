@@ -1,0 +1,191 @@
+"""``mbcacq hand-eye``: hand-eye calibration of a camera, view by view."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mbcacq.cli.data import image_options
+from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.terminal import echo
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from mbcacq.workflow.hand_eye import HandEyeSession
+    from mbcacq.workflow.view_sources import FollowedArm, ImageFolder, PoseFile, TypedPoses, VideoCamera
+
+
+@click.command("hand-eye")
+@click.option("--images", type=click.Path(path_type=Path, file_okay=False), help="Folder into which the images fall.")
+@click.option("--device", metavar="CAMERA", help="Camera of OpenCV: its number, or the address of a stream.")
+@image_options
+@click.option("--follow", type=PlanPath(), help="Plan of an arm that is followed and never moved (follow: {} below robot).")
+@click.option("--flange", metavar="CONVENTION", help="Orientation of poses: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz.")
+@click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", default=True, help="The camera is on the flange [default].")
+@click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The camera is fixed, the board on the flange.")
+@click.option(
+    "--enough", default=0.1, show_default=True, type=click.FloatRange(0, min_open=True), help="U (k = 2) of x, y and z that ends it, mm."
+)
+@click.option("--wait", default=600.0, show_default=True, type=click.FloatRange(0), help="Time without a new view after which it ends, s.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("hand-eye"), help="Folder to write [hand-eye].")
+@click.option("--force", is_flag=True, help="Write into the folder although it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+def command(
+    images: Path | None,
+    device: str | None,
+    poses: Path | None,
+    kind: str | None,
+    size: str | None,
+    pitch: float | None,
+    inner: float | None,
+    dictionary: str | None,
+    camera: Path | None,
+    follow: Path | None,
+    flange: str | None,
+    measurement: Any,
+    enough: float,
+    wait: float,
+    out: Path,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Calibrate the hand-eye transformation of a camera view by view: after each, how well it is known and where the next view should be.
+
+    Poses of the flange are typed or pasted, a line each; or they are the rows of --poses, or those of the arm of --follow. Type n where a
+    view is out of reach, and an empty line to end. OUT/index.html shows the last image with the points found and the next view.
+
+    \b
+    Examples:
+      mbcacq hand-eye --device 0 --board circles --size 9x7 --pitch 20 --flange ur
+      mbcacq hand-eye --images incoming --board chessboard --size 9x6 --pitch 20 \\
+        --poses flange.csv
+    """
+    from mbcacq.camera.board import board_of
+    from mbcacq.camera.intrinsics import read_intrinsics
+    from mbcacq.devices.terminal_input import typed_line
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording.datasets.loose_table import TableOptions
+    from mbcacq.workflow.hand_eye import HandEyeSession
+    from mbcacq.workflow.load import refuse_existing
+    from mbcacq.workflow.view_sources import ImageFolder, PoseFile, TypedPoses, VideoCamera, followed_arm
+
+    said = {"--board": kind, "--size": size, "--pitch": pitch}
+    if missing := [name for name, value in said.items() if value is None]:
+        raise ConfigError(f"{', '.join(missing)}: missing; say which board the images show")
+    if (images is None) == (device is None):
+        raise ConfigError("give the images' --images FOLDER, or the camera's --device NUMBER")
+    if poses is not None and follow is not None:
+        raise ConfigError("poses are those of --poses or of --follow; give one of both")
+    if poses is None and follow is None and flange is None:
+        raise ConfigError("--flange CONVENTION is missing: how the poses that you type write their orientation, such as kuka, ur or abb")
+    refuse_existing(out, force, f"{out} exists; give another --out, or --force to write into it")
+    board = board_of(str(kind), str(size), pitch or 0.0, inner, dictionary)
+    session = HandEyeSession(out, board, read_intrinsics(camera) if camera else None, measurement, enough)
+    with ExitStack() as stack:
+        source: VideoCamera | ImageFolder = ImageFolder(images) if images else VideoCamera(str(device))
+        arm: TypedPoses | PoseFile | FollowedArm
+        if follow is not None:
+            session.robot, arm = stack.enter_context(followed_arm(follow))
+        elif poses is not None:
+            arm = PoseFile(poses, TableOptions(flange=flange))
+        else:
+            arm = TypedPoses(lambda: typed_line(threading.Event()), str(flange), lambda text: echo(text, err=True))
+        lead(session, source, arm, _Waiting(wait), flange)
+    _end(session, as_json)
+
+
+class _Waiting:
+    """Waits for files and arms; False once nothing came for so long, or Ctrl-C was pressed. ``came()`` begins anew."""
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s, self._since = longest_s, time.monotonic()
+
+    def came(self) -> None:
+        self._since = time.monotonic()
+
+    def __call__(self) -> bool:
+        time.sleep(0.1)
+        return time.monotonic() - self._since < self._longest_s
+
+
+def lead(
+    session: HandEyeSession,
+    images: VideoCamera | ImageFolder,
+    poses: TypedPoses | PoseFile | FollowedArm,
+    wait: _Waiting,
+    convention: str | None,
+) -> None:
+    """Take view after view until the camera's place is known as well as was asked for, or nothing comes any more."""
+    said = f"show the whole board to the camera, and keep the arm still; {(session.folder / 'index.html').resolve().as_uri()} shows more"
+    echo(said, err=True)
+    try:
+        while not session.enough:
+            view = session.next_view()
+            session.show(view, said)
+            number = len(session.views) + len(session.missing) + 1
+            echo(f"view {number}: {view.in_words()}{_flange(session.flange_at(view), convention)}", err=True)
+            wait.came()
+            pose = poses.next(wait)
+            if isinstance(pose, str):
+                session.refused.append(view.T)
+                continue
+            grey = None if pose is None else images.next(wait)
+            if pose is None or grey is None:
+                break
+            said = session.add(grey, pose)
+            echo(said, err=True)
+    except KeyboardInterrupt:
+        echo("ended by Ctrl-C; what was measured is kept", err=True)
+    session.show(None, f"after {len(session.views)}: {session.known()}")
+
+
+def _flange(T_base_flange: np.ndarray | None, convention: str | None) -> str:
+    """Where the flange is then, as a clause; '' while nobody knows."""
+    from mbcacq.geometry import orientations
+    from mbcacq.quantities import in_degrees
+    from mbcacq.recording.datasets.pose_columns import named_convention
+
+    if T_base_flange is None:
+        return ""
+    x, y, z = T_base_flange[:3, 3]
+    place = f"; the flange is near x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
+    word = named_convention(convention, "--flange") if convention else "matrix"
+    if word in ("matrix", *orientations.QUATERNIONS):
+        return place
+    turn = orientations.to_numbers(T_base_flange[None, :3, :3], word)[0]
+    if word == "vector":
+        return f"{place}, rotation vector {', '.join(f'{v:.2f}' for v in turn)} rad"
+    return f"{place}, {', '.join(f'{v:.0f}' for v in in_degrees(turn))}° ({orientations.in_words(word)})"
+
+
+def _end(session: HandEyeSession, as_json: bool) -> None:
+    """Write the observation set and show its calibration. Raises CalibrationError where the views are too few."""
+    import mbcacq
+    from mbcacq.cli.calibrate import print_result
+    from mbcacq.errors import CalibrationError
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.model.json_text import sealed_text
+    from mbcacq.workflow.calibrate import calibration_content
+
+    folder = session.finish()
+    if folder is None or session.place is None:
+        raise CalibrationError(
+            f"the board was seen in {len(session.views)}: {session.known() or 'nothing is known'}; take more with --force"
+        )
+    result = calibration_content(folder, mbcacq.CalibrationOptions(kinematics=False))
+    file = write_file(session.folder / "result.json", sealed_text(result))
+    if as_json:
+        echo(json.dumps({**result, "enough": session.enough, "files": {"set": str(folder), "result": str(file)}}))
+        return
+    print_result(result)
+    known = "" if session.enough else f", which is more than the {session.enough_mm:g} mm that were asked for: take more views"
+    echo(f"{len(session.views)} views; {session.known()}{known}")
+    say_next("write the transform for ROS, controllers and others", command_line("export", file, "--results", session.folder / "export"))
