@@ -151,9 +151,9 @@ class ParameterLayout:
 def build(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
     """The layout for a recording: which parameters are free, with gauge and redundancy removed by what is known of every arm.
 
-    Of an arm of revolute joints theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i
-    and i+1 are parallel, d_i acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters. Of a prismatic
-    joint the direction alone matters, so that four more act like others.
+    theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are parallel, d_i
+    acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters. A prismatic joint has a direction and no
+    place, so that two more parameters act like others.
     """
     cell = obs.cell
     blocks = [_chain(cell, options), _hand_eye(obs), _balls(obs, options)]

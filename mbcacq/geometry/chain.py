@@ -12,7 +12,7 @@ carried along moves by ``v + w x P``. This one form serves parameter errors and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class Chain:
     a: np.ndarray
     alpha: np.ndarray
     beta: np.ndarray
+    _: KW_ONLY
     sliding: tuple[int, ...] = ()
     floor: int = 0
     root: np.ndarray | None = None
@@ -57,7 +58,7 @@ class Chain:
 
     def with_rows(self, rows: np.ndarray) -> Chain:
         """The same joints with other rows (n, 5)."""
-        return type(self)(self.sign, *rows.T, self.sliding, self.floor, self.root, self.follows)
+        return replace(self, **dict(zip(PARAMETERS, rows.T, strict=True)))
 
     @property
     def prismatic(self) -> np.ndarray:
@@ -131,8 +132,8 @@ class Chain:
         """(n, 5) bool: a parameter that acts like others of the chain, or like displacements of the flange, and of the base where that is
         not known.
 
-        Of a chain of any joints, whose independent parameters are 4 for each revolute joint and 2 for each prismatic one, less 6 for an
-        unknown base. Found by orthogonalising the twists of the flange at random postures, the last rows and the common parameters first.
+        A chain has 4 independent parameters for each revolute joint and 2 for each prismatic one, less 6 for an unknown base. They are found
+        by orthogonalising the twists of the flange at random postures, the last rows and the common parameters first.
         """
         low, high = self.drawn_between(np.where(self.prismatic[:, None], [-1e3, 1e3], [-np.pi, np.pi]))
         q = np.random.default_rng(0).uniform(low, high, (12 * self.n, self.n))

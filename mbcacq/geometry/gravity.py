@@ -23,7 +23,7 @@ def gravity_torque(
 
     frames: (P, n+1, 4, 4) from ``Chain.frames``; mass: (n,) kg; com: (n, 3) mm in the frame of each link;
     payload_mass: kg, one number or one a pose (P,); payload_com: (3,) mm in the flange frame; gravity: (3,) unit vector
-    in the frame of the floor, pointing down. Returns (P, n) N m, N of a prismatic joint; zero for joints that carry the artefact.
+    in the base at zero, pointing down. Returns (P, n) N m, N of a prismatic joint; zero for joints that carry the artefact.
     """
     weight = STANDARD_GRAVITY * downward(chain, frames, gravity)
     centres = se3.apply(frames[:, 1:], com[None])
@@ -43,9 +43,12 @@ def gravity_torque(
 
 
 def downward(chain: Chain, frames: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """The unit vector (3,) of the floor's frame that points down, in the base: (3,), or (P, 1, 3) where the base is a table that moves."""
+    """What points down, given (3,) in the base at zero of the axes of a table, in the base: (3,), or (P, 1, 3) where the base is a table."""
     g = np.asarray(gravity, dtype=float)
-    return g if not chain.floor else (frames[:, chain.floor, :3, :3] @ g)[:, None]
+    if not chain.floor:
+        return g
+    at_zero = chain.frames(np.zeros((1, chain.n)))[0, chain.floor, :3, :3]
+    return (frames[:, chain.floor, :3, :3] @ at_zero.T @ g)[:, None]
 
 
 def upright_angle(chain: Chain, gravity: np.ndarray) -> float | None:

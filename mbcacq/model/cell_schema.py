@@ -164,7 +164,7 @@ class ExternalAxisSpec(JointSpec):
     axes are at zero. They are listed from the floor on, those of a positioner too.
     """
 
-    name: Annotated[str, Field(pattern=r"^E[1-9]$")]
+    name: Annotated[str, Field(pattern=r"^E[1-9]$")] | None = None
     direction: Direction
     point_mm: Place = (0.0, 0.0, 0.0)
 

@@ -48,8 +48,8 @@ PRISMATIC = ("p", "prismatic", "sliding", "slide", "linear", "1", "1.0")
 
 
 def read_dh_table(path: Path, convention: str) -> ArmSource:
-    """convention: 'standard', each row Rz(theta + q) Tz(d) Tx(a) Rx(alpha); or 'modified' (Craig), Rx(alpha) Tx(a) Rz(theta + q) Tz(d). Of
-    a prismatic row q is added to d.
+    """convention: 'standard', each row Rz(theta + q) Tz(d) Tx(a) Rx(alpha); or 'modified' (Craig), Rx(alpha) Tx(a) Rz(theta + q) Tz(d). A
+    prismatic row has q added to d.
 
     Raises ConfigError for a table that lacks a column or a number.
     """

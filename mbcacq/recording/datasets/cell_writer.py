@@ -106,7 +106,7 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
 def _kind_of_joint(robot: RobotModel, i: int) -> dict[str, Any]:
     """What is not as of the revolute joints of an arm."""
     out = {"type": "prismatic"} if robot.chain.prismatic[i] else {}
-    named = {"name": robot.names[i]} if robot.names else {}
+    named: dict[str, Any] = {"name": robot.names[i]} if robot.names else {}
     for joint, leader, ratio in robot.chain.follows:
         if joint == i:
             slides = robot.chain.prismatic
