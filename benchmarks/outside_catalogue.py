@@ -15,6 +15,7 @@ import bench
 import numpy as np
 from bench import HERE, Kept, keeps, option, put, table, writes
 from outside.physics import KINDS, run
+from statements import contradictions
 
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.result import Diagnosis
@@ -48,6 +49,7 @@ def judged(kind: str, there: tuple[str, ...], found: Diagnosis) -> dict[str, Any
         "located": bool(set(at) & set(there)),
         "at": at,
         "chi2": found.fit.held_out.after_chi2_dof,
+        "contradictions": contradictions(found),
     }
 
 
@@ -78,8 +80,11 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
             each.append([kind, len(mine), *sums, *(counts[verdict] or "" for verdict in VERDICTS)])
     total = len(rows), *(sum(row[key] for row in rows) for key in ("right", "wrong", "located"))
     wrong = [f"- {row['kind']} {row['seed']}, size {row['size']:.1f}: {'; '.join(row['said'])}" for row in rows if row["wrong"]]
+    said = [f"- {row['kind']} {row['seed']}: {one}" for row in rows for one in row["contradictions"]]
     heads = ["kind", "cells", "explained by a right name", "by a wrong name", "location right", *VERDICTS]
-    return [*table(heads, [*each, ["all", *total, *("" for _ in VERDICTS)]]), "", "Explained by a wrong name:", "", *(wrong or ["none"])]
+    sums = ["all", *total, *("" for _ in VERDICTS)]
+    lists = {"Explained by a wrong name:": wrong, "Statements that contradict each other:": said}
+    return [*table(heads, [*each, sums]), *(line for head, some in lists.items() for line in ("", head, "", *(some or ["none"])))]
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ def verdict_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
     if d.verdict == "explained" and d.not_separable:
         yield "explained beside what cannot be told apart"
     if d.verdict == "explained" and any(not one.repeats for e in d.effects for one in e.found_again):
-        yield "explained by what halves do not both show"
+        yield "explained by what parts do not show again"
     if d.verdict == "unexplained" and not any(e.name == UNKNOWN for e in d.effects):
         yield "unexplained without anything unmodelled"
     if "A trend alone" in text and (findings or d.verdict != "cannot_tell"):
@@ -75,7 +75,7 @@ def gains_against_what_is_kept(d: Diagnosis, text: str) -> Iterator[str]:
         if REMOVES_NOTHING in block and re.search(r"removes \d", block):
             yield "a share is removed by what held-out data are predicted as well without"
     for effect in d.effects:
-        if not effect.trend and effect.held_out_gain > 0.5 and effect.found_again and not any(one.found_in for one in effect.found_again):
+        if effect.held_out_gain > 0.5 and effect.found_again and not any(one.found_in for one in effect.found_again):
             yield f"{effect.name} removes {effect.held_out_gain:.0%} of held-out excess, and no part of the recording shows it"
     if "calibrate with what was found" in text and not is_to_be_calibrated_with(d):
         yield "a calibration is advised where nothing is kept or something is open"

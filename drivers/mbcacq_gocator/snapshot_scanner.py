@@ -78,7 +78,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         return self._description
 
     def facts(self) -> tuple[Fact, ...]:
-        """As they were at the last exposure."""
+        """Values at the last exposure."""
         return self._facts
 
     def _read_facts(self, session: S) -> tuple[Fact, ...]:

@@ -13,8 +13,8 @@ PERIOD_S = 0.05
 
 
 class RobotMonitor:
-    """Context manager around a wait. As soon as the robot reports what stopped it, ``interrupt`` is called from a thread, so that the wait
-    ends; what stopped the robot is then raised in place of whatever the interrupted wait raised."""
+    """Context manager around a wait. A thread calls ``interrupt`` as soon as the robot reports a stop, so that the wait ends. The robot's
+    error is then raised instead of the one that the interrupted wait raised."""
 
     def __init__(self, robot: Robot, interrupt: Callable[[], None]) -> None:
         self._robot, self._interrupt = robot, interrupt

@@ -39,7 +39,7 @@ def with_clock_term(obs: Observations, options: CalibrationOptions) -> Calibrati
 
 def with_clock(cell: CalibratedCell) -> CalibratedCell:
     """The cell with its clock in ``extra``: delay and drift of the controller's clock against the sensor's, and their standard
-    uncertainties. As it is for a recording at rest."""
+    uncertainties. A recording at rest is returned unchanged."""
     obs = cell.fit.observations
     if NAMES[0] not in cell.names or obs.time_s is None or obs.sensor_time_s is None:
         return cell

@@ -1,7 +1,7 @@
 """Methods of calibration on the same data, judged alike: fit, sphere spacing error, held-out error, time.
 
-A method is a function from observations to a ``CellState``, or to a calibrated cell where it has effects. Where it does not apply to a
-recording, it raises CalibrationError with the reason.
+A method is a function from observations to a ``CellState``, or to a calibrated cell where it has effects. It raises CalibrationError, with
+the reason, if it does not apply to a recording.
 """
 
 from __future__ import annotations
@@ -108,9 +108,9 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row a method of ``COMPARED_METHODS``, in that order. Those that identify links are left out where the
-    data are poses of a flange; a method that these data do not determine has the reason in place of figures. progress: gets a sentence a
-    method. Raises CalibrationError where no method is determined: no station was seen from two postures."""
+    """One row a method of ``COMPARED_METHODS``, in that order. Methods that identify links are left out if the data are poses of a flange.
+    A method that the data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError
+    where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
     if posture_range(obs) < SAME_POSTURE:
         raise CalibrationError(

@@ -1,8 +1,8 @@
 """A calibration that loses against a simpler one is not published.
 
-Where the joints of a calibrated arm seem to repeat worse than the arm does, its model lacks something, and nothing guarantees any longer
-that the most careful weighing of the rows is the best. Simpler calibrations of the same recording then compete: each is fitted without a
-block of poses and predicts it, block after block. One of them is published in its place where it predicts better beyond scatter.
+The model of a calibrated arm lacks something if its joints seem to repeat worse than the arm does. The most careful weighing of the rows
+may then no longer be the best. Simpler calibrations of the same recording then compete: each is fitted without a block of poses and
+predicts it, block after block. One of them is published in its place where it predicts better beyond scatter.
 """
 
 from __future__ import annotations
@@ -152,8 +152,8 @@ def compared_on_held_out(
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:
-    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Where the links have sizes, those
-    stay as they are: without them the error where nothing was measured has no bound.
+    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Sizes of the links stay as they
+    are: without them the error away from the measured poses has no bound.
 
     Parameters
     ----------

@@ -78,8 +78,8 @@ def misdescribed(obs: Observations) -> str:
 
 @contextmanager
 def likely_cause_named(observations: Observations) -> Iterator[None]:
-    """Where the recording contradicts its cell in the context, the error names the simple change of the description that removes most of
-    the misfit, if there is one.
+    """An error that the recording contradicts its cell also names the simple change of the description that removes most of the misfit, if
+    there is one.
     """
     try:
         yield

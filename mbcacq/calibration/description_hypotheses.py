@@ -243,7 +243,7 @@ def _shifted(o: Observations, shift: int) -> Observations:
 
 
 def _rotation(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
-    assert o.rotation is not None, "offered only where an orientation was measured"
+    assert o.rotation is not None, "offered only if an orientation was measured"
     return replace(o, rotation=change(o.rotation))
 
 

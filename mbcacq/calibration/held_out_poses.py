@@ -57,7 +57,7 @@ def held_out_masks(obs: Observations, split: str, size: int | None, fits: int | 
             masks.append(mask)
     known = [_known_places(obs, m) for m in masks]
     if not any(m.any() for m in known):
-        raise CalibrationError("every pose left out shows a ball where the rest does not know its place; use --held-out station or random")
+        raise CalibrationError("every pose left out shows a ball that the others do not locate; use --held-out station or random")
     return [m for m in known if m.any()]
 
 

@@ -15,6 +15,8 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.pose_information import Weights
+from mbcacq.estimation.solution import system
 from mbcacq.model.json_text import Number
 from mbcacq.model.observations import Observations
 
@@ -71,16 +73,16 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     some = obs.select(keep)
     terms = model.at(some) if model else ()
     # An effect that differs between recordings has another draw in the other one: a random effect, beside the learnt one.
-    differing = differing_terms(model, some)
+    differing = differing_terms(model, some, cell)
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=all_phases(some))
     layout = parameters.build(some, options)
     for name in cell.layout.names:
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
     estimate = Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing)))
-    columns = lineariser.at(lineariser.evaluate(estimate))
-    X = lineariser.rows.unpad(columns.dense)[:, :3]
-    X = X.reshape(-1, X.shape[2])
+    weights = Weights(fitted.fit.weights.centre[rows], fitted.fit.weights.pose[keep])
+    at = system(lineariser, estimate, fitted.noise, weights)  # base and tool were fitted to all rows of a pose under these weights
+    columns = at.columns
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
     fitted_there = ("ball_",) if obs.cell.robot.of_flange_poses else ("hand_eye.", "ball_")
@@ -89,14 +91,13 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     drawn = [j for j, name in enumerate(names) if name in variance]
     index = [learnt[names[j]] for j in shared]
     own = [j for j, name in enumerate(names) if name.startswith("hand_eye.") and j not in shared]
-    A = X[:, [*shared, *drawn]]
-    station = np.repeat(some.station[some.pose], 3)
-    A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
-    A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
+    A = lineariser.rows.unpad(at.normal.reduce(columns.of_parameters, columns.of_station)[0])[:, :3]
+    absorbed = np.linalg.solve(at.normal.information[np.ix_(own, own)], at.normal.information[np.ix_(own, [*shared, *drawn])])
+    A = A[:, :, [*shared, *drawn]] - A[:, :, own] @ absorbed
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
     kept = used[rows]
-    A = A.reshape(len(A) // 3, 3, len(C))[kept] @ square_root(C)  # of a hand-eye transform alone C is empty
+    A = A[kept] @ square_root(C)  # of a hand-eye transform alone C is empty
     joint = (lineariser.rows.unpad(columns.of_joints)[:, :3] * cell.noise.joint)[kept]
     covariance = A @ np.swapaxes(A, 1, 2) + joint @ np.swapaxes(joint, 1, 2)
     covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
@@ -128,15 +129,6 @@ def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray
             whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += block
         squares += np.sum(whole**2) - np.sum(within**2)
     return float((3 * len(pose)) ** 2 / squares)
-
-
-def _without_stations(X: np.ndarray, moved: np.ndarray, station: np.ndarray, split: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns X (R, g) less what the places of their own stations (R, 6) absorb, by station (R,); the first ``split``, and the rest."""
-    out = X.copy()
-    for s in np.unique(station):
-        rows = station == s
-        out[rows] -= moved[rows] @ np.linalg.lstsq(moved[rows], X[rows], rcond=1e-9)[0]
-    return out[:, :split], out[:, split:]
 
 
 def _freed(layout: parameters.ParameterLayout, name: str) -> parameters.ParameterLayout:

@@ -9,8 +9,10 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import rms
+from mbcacq.calibration.published_cell import LOADS
 from mbcacq.calibration.with_effects import some_poses
-from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import REPORTED_SHARE, EffectModel
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
@@ -19,11 +21,13 @@ from mbcacq.estimation.parameters import Estimate, build
 from mbcacq.estimation.pose_information import Weights
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import one_thread, solve
-from mbcacq.estimation.terms import Term
+from mbcacq.estimation.terms import Part, Term
 from mbcacq.model.json_text import Number
 from mbcacq.model.observations import Observations
 
 PARTS = 5  # of each station, along the order of its poses, as many as the blocks that a calibration is judged by
+LEAST_LOAD = 0.02  # of the largest torque about a joint, below which the side of its gear's teeth is not known
+LOST_MOTION_RAD = 5e-5  # half of it, of a typical gear: a third of an arc minute, as the catalogue has it; no gear has none
 MOST_POSES = 3000  # by which it is fitted and judged: as many as unmodelled effects are learnt from
 
 
@@ -71,13 +75,33 @@ class PartsLeftOut:
     drawn_anew: TransferFigures
 
 
-def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
+def differing_terms(model: EffectModel, obs: Observations, cell: CalibratedCell) -> tuple[Term, ...]:
     """Effects that differ between recordings, or were not learnt at the postures of a recording, as random effects beside the learnt
-    ones."""
-    return tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
+    ones; and the lost motion of gears that gravity turns the other way there."""
+    learnt = (replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
+    lost = (
+        Term(name, (Part("joint", j, 0, 2.0 * there[:, None]),), (name,), ("rad",), np.array([LOST_MOTION_RAD]))
+        for j, there in reversed_joints(obs, cell).items()
+        for name in (f"other side of A{j + 1}",)
+    )
+    return (*learnt, *lost)
 
 
-def parts_left_out(placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray) -> PartsLeftOut | None:
+def reversed_joints(obs: Observations, cell: CalibratedCell) -> dict[int, np.ndarray]:
+    """The joints that gravity turns one way in a recording and hardly ever did where a cell was learnt, with the poses (P,) bool where it
+    does so."""
+    here, found = Covariates(obs), dict[int, np.ndarray]()
+    learnt = np.reshape(cell.extra.get(LOADS, []) if here.masses_known else [], (-1, 2))
+    for j, (low, high) in enumerate(learnt):
+        torque = here.gravity_torque[:, j]
+        least = LEAST_LOAD * max(abs(low), abs(high))
+        there = (torque < -least) & (low >= -least) | (torque > least) & (high <= least)
+        if there.mean() > REPORTED_SHARE:
+            found[j] = there
+    return found
+
+
+def parts_left_out(placed: CalibratedCell, model: EffectModel, cell: CalibratedCell, used: np.ndarray) -> PartsLeftOut | None:
     """Predictions of parts of a recording by its other parts: without and with what the recording learnt from could not teach.
 
     Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts. The second time, random effects are
@@ -91,8 +115,8 @@ def parts_left_out(placed: CalibratedCell, model: EffectModel, noise: Noise, use
         The arm with its effects on the recording, whose base, tool and stations are fitted.
     model : EffectModel
         The effects that were learnt.
-    noise : Noise
-        That was learnt.
+    cell : CalibratedCell
+        The learnt cell.
     used : np.ndarray
         (M,) bool, the centres that are fitted; every centre is judged.
 
@@ -105,7 +129,7 @@ def parts_left_out(placed: CalibratedCell, model: EffectModel, noise: Noise, use
     keep = some_poses(placed.fit.observations, MOST_POSES)
     used = used[keep[placed.fit.observations.pose]]
     obs = placed.fit.observations.select(keep)
-    terms = differing_terms(model, obs)
+    terms = differing_terms(model, obs, cell)
     if not terms:
         return None
     learnt = tuple((t.at_poses(keep, placed.fit.observations.pose), c) for t, c in placed.fit.options.displaced)
@@ -113,7 +137,7 @@ def parts_left_out(placed: CalibratedCell, model: EffectModel, noise: Noise, use
     parts = [part[obs.pose] for part in _parts(obs)]
     try:
         with one_thread():
-            return PartsLeftOut(*(_left_out(obs, replace(options, terms=t), placed.state, noise, used, parts) for t in ((), terms)))
+            return PartsLeftOut(*(_left_out(obs, replace(options, terms=t), placed.state, cell.noise, used, parts) for t in ((), terms)))
     except (CalibrationError, np.linalg.LinAlgError):
         return None
 

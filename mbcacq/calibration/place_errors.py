@@ -1,9 +1,9 @@
 """How far an arm misses the places that it is sent to, as its own scanner measures it: before and after its targets were corrected.
 
-Whoever sends an arm to a place believes in its nominal model. So the hand-eye transform and the stations are adjusted to a recording as if
-the arm stood exactly where it was sent, and nothing else: what remains at the balls is what the arm misses. With the joint angles as
-driven, it is the error of the arm of the controller's model (before). With the joint angles by which the places were planned, it is the
-error of the arm with corrected targets (after). Both are of the same poses, of one recording, by one procedure.
+Targets of an arm are given by its nominal model. So the hand-eye transform and the stations are adjusted to a recording as if the arm stood
+exactly where it was sent, and nothing else: what remains at the balls is what the arm misses. With the joint angles as driven, it is the
+error of the arm of the controller's model (before). With the joint angles by which the places were planned, it is the error of the arm with
+corrected targets (after). Both are of the same poses, of one recording, by one procedure.
 """
 
 from __future__ import annotations

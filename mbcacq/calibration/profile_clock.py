@@ -65,7 +65,7 @@ class SeenSections:
     noise_mm: float
 
     def some(self, keep: np.ndarray) -> SeenSections:
-        """Those that ``keep`` (P,) bool or indices choose."""
+        """The profiles that ``keep`` (P,) bool or indices choose."""
         at = np.arange(len(self.circles))[keep]
         return SeenSections(self.time_s[at], self.sphere[at], self.radius[at], [self.circles[i] for i in at], self.noise_mm)
 

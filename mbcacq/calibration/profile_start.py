@@ -1,7 +1,7 @@
 """Hand-eye calibration from line profiles of one sphere: start values, and each profile as a measured centre.
 
 The laser plane is y = 0 of the scanner. It cuts the sphere (centre s in the scanner's frame, radius R) in a circle about (s_x, s_z) of
-radius sqrt(R^2 - s_y^2). A profile so measures s_x and s_z, and s_y but for its sign; near the sphere's equator it hardly measures s_y.
+radius sqrt(R^2 - s_y^2). A profile thus measures s_x, s_z and the absolute value of s_y; near the sphere's equator it hardly measures s_y.
 The start decides the signs; linearised there, each profile is a centre with a covariance of its own.
 """
 

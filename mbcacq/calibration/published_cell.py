@@ -26,7 +26,7 @@ from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import LENGTH, LENGTH_NAMES, SHARED
 from mbcacq.geometry import se3
-from mbcacq.model.cell import ARTEFACT_IN_SCANNER
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, SCENE
 from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
@@ -94,6 +94,9 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         std = np.sqrt(np.diag(cell.covariance)[at])
         said = {"offset_mm": float(offset), "offset_std_mm": float(std[0]), "scale": float(scale), "scale_std": float(std[1])}
         cell = replace(cell, extra={**cell.extra, "length_instrument": said})
+    if any(artefact.id == SCENE for artefact in observations.cell.artefacts):
+        said = "that of the scanner, since a part has no length that is known; an artefact with a certificate would show it"
+        cell = replace(cell, extra={**cell.extra, "scale_from": said})
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
 

@@ -179,7 +179,7 @@ def with_joint_noise_check(cell: CalibratedCell) -> CalibratedCell:
 
 
 def joint_noise_check(solution: Solution, noise: Noise, covariance: np.ndarray) -> dict[str, Any] | None:
-    """Where the estimated joint noise is far beyond the arm's data sheet: by what factor, and the pose that explains it if one does.
+    """Factor by which the estimated joint noise exceeds the arm's data sheet, if by far, and the pose that explains it, if one does.
 
     covariance: (g, g) of the parameters, as stated. None where the noise is credible or the data sheet is silent.
     """

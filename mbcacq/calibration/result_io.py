@@ -222,7 +222,7 @@ class OwnEstimate:
 
 
 def without_prior(result: Mapping[str, Any]) -> OwnEstimate:
-    """The estimates of a result.json without the prior of the links. Those of balls (their certificate) and of smooth errors stay.
+    """The estimates of a result.json without the prior of the links. Priors of balls (their certificate) and of smooth errors stay.
 
     A prior of the size that link errors have lets every estimate lean towards nominal, by more where the poses determine less. That makes
     the calibrated arm better; between two recordings it makes every change too small. With the posterior N(x, C) and the prior N(m, D) of

@@ -15,11 +15,9 @@ from mbcacq.calibration.calibrate import calibrate, changed_while_recorded
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.held_out_poses import gross
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
-from mbcacq.calibration.parts_left_out import PartsLeftOut, TransferFigures, parts_left_out
-from mbcacq.calibration.published_cell import LOADS
+from mbcacq.calibration.parts_left_out import PartsLeftOut, TransferFigures, parts_left_out, reversed_joints
 from mbcacq.calibration.sufficiency import refuse_other_arm
-from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_model import REPORTED_SHARE, EffectModel
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
@@ -35,7 +33,6 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
-LEAST_LOAD = 0.02  # of the largest torque about a joint, below which the side of its gear's teeth is not known
 
 
 @dataclass(frozen=True)
@@ -246,20 +243,14 @@ def at_known_stations(obs: Observations, cell: CalibratedCell) -> tuple[Observat
 
 def reversed_loads(obs: Observations, cell: CalibratedCell) -> tuple[str, ...]:
     """A sentence on the joints that gravity turns one way here and hardly ever did where the arm was learnt, if there are any. Backlash and
-    lost motion are a constant there, and in no uncertainty that was learnt."""
-    here, found, largest = Covariates(obs), list[str](), 0.0
-    learnt = np.reshape(cell.extra.get(LOADS, []) if here.masses_known else [], (-1, 2))
-    for j, (low, high) in enumerate(learnt):
-        torque = here.gravity_torque[:, j]
-        least = LEAST_LOAD * max(abs(low), abs(high))
-        share = max(np.mean(torque < -least) * (low >= -least), np.mean(torque > least) * (high <= least))
-        if share > REPORTED_SHARE:
-            found, largest = [*found, f"A{j + 1}"], max(largest, float(share))
+    lost motion are a constant there."""
+    found = reversed_joints(obs, cell)
     if not found:
         return ()
+    names, largest = ", ".join(f"A{j + 1}" for j in found), max(float(there.mean()) for there in found.values())
     return (
-        f"gravity turns {', '.join(found)} the other way at up to {largest:.0%} of the poses, and hardly ever did where the arm was "
-        "learnt: backlash and lost motion of their gears do not show there, and no stated uncertainty contains them",
+        f"gravity turns {names} the other way at up to {largest:.0%} of the poses, and hardly ever did where the arm was learnt: backlash "
+        "and lost motion of their gears do not show there; the uncertainty stated here contains the lost motion of a typical gear",
     )
 
 
@@ -326,7 +317,7 @@ class _Trial:
 
     def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
         """The figures of parts predicted by the others; None with known places, which are not fitted."""
-        return parts_left_out(placed, model, self.cell.noise, used) if self.place == "fitted" and model else None
+        return parts_left_out(placed, model, self.cell, used) if self.place == "fitted" and model else None
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
         """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""

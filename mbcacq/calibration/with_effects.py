@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
+from mbcacq.calibration.cell_estimate import square_root
 from mbcacq.calibration.published_cell import with_estimates
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
@@ -22,7 +23,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise, select_phases
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.pose_information import Weights
-from mbcacq.estimation.random_effect_sizes import consecutive, eliminated, sizes_by_marginal_likelihood, without_prior
+from mbcacq.estimation.random_effect_sizes import OTHERS, consecutive, eliminated, sizes_by_marginal_likelihood, without_prior
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise, one_thread
 from mbcacq.estimation.terms import Term
@@ -213,10 +214,28 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
     adjusted = Adjustment(
         solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
-    result = adjusted_cell(chosen, adjusted)
+    result = with_uncertain_sizes(adjusted_cell(chosen, adjusted), stage)
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
     model = replace(parametric, terms=(*parametric.terms, *groups))
     return replace(result, effects=with_estimates(model, result))
+
+
+def with_uncertain_sizes(cell: CalibratedCell, stage: _Stage) -> CalibratedCell:
+    """The cell with a covariance for groups whose sizes were estimated; their coefficients are its last parameters.
+
+    The variance of a group follows from the g coefficients that the recording determines, and from OTHERS that are usual. Its posterior
+    mean is (g + OTHERS) / (g + OTHERS - 2) times the most probable one (inverse gamma). Where the recording was not, that is what the
+    group may be.
+    """
+    C, first = cell.covariance, len(cell.covariance) - sum(g.k for g in stage.groups)
+    weight = np.zeros(len(C))
+    for g, s, own in zip(stage.groups, stage.scale, consecutive(g.k for g in stage.groups), strict=True):
+        if not given_size(g):
+            at, prior = slice(first + own.start, first + own.stop), (g.sigma * s) ** 2
+            known = OTHERS + g.k - float(np.sum(np.diag(C)[at] / prior))
+            weight[at] = -2 / known / prior
+    root = square_root(C)
+    return replace(cell, covariance=root @ np.linalg.solve(np.eye(len(C)) + root.T @ (weight[:, None] * root), root.T))
 
 
 def terms_beyond(fitted: CalibratedCell, parametric: EffectModel) -> tuple[Term, ...]:

@@ -174,7 +174,7 @@ def _checked(path: Path, fx_fy_cx_cy: tuple[float, ...], distortion: Any, fishey
     focal, centre = pinhole[:2], pinhole[2:]
     coefficients = np.array(distortion, dtype=float).ravel()
     if not (np.isfinite([*focal, *centre, *coefficients]).all() and (focal > 1).all()):
-        raise ConfigError(f"{path}: a focal length of {focal[0]:g}, {focal[1]:g} px is none; give the matrix in pixels")
+        raise ConfigError(f"{path}: a focal length of {focal[0]:g}, {focal[1]:g} px is impossible; give the matrix in pixels")
     if len(coefficients) > (4 if fisheye else COEFFICIENTS[-1]):
         raise ConfigError(f"{path}: {len(coefficients)} distortion coefficients are more than the model has")
     count = 4 if fisheye else next(n for n in COEFFICIENTS[1:] if n >= len(coefficients))

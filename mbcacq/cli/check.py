@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 @click.option("--from", "measured", type=RunPath("check"), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
 @click.option("--poses", default=12, show_default=True, help="Number of poses, chosen at the first check.")
 @click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check, so its place is not judged.")
+@click.option("--part", is_flag=True, help="Judge by the scans of PLAN's part instead of balls [always without balls].")
 @click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="Table of mbcacq fleet: how arms change from day to day.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the recording [default: runs/TIME_check-NAME].")
 @moves_an_arm()
@@ -37,6 +38,7 @@ def command(
     measured: Path | None,
     poses: int,
     placed_anew: bool,
+    part: bool,
     fleet: Path | None,
     out: Path | None,
     motion: MotionOptions,
@@ -70,7 +72,7 @@ def command(
     )
     loaded = mbcacq.load_plan(plan)
     days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
-    settings = CheckSettings(poses, not placed_anew, days, out)
+    settings = CheckSettings(poses, not placed_anew, days, out, part)
     with steps:
         done = mbcacq.check(
             result,

@@ -35,8 +35,8 @@ _TABLE_OPTIONS = (
         "--flange", metavar="CONVENTION", help="Orientation of the flange: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
     ),
     click.option("--target", metavar="CONVENTION", help="Orientation of the target, likewise."),
-    click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, where headings do not say [by their size]."),
-    click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size]."),
+    click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, if headings do not say [by their size]."),
+    click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, if headings do not say [by their size]."),
     click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
     click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner is fixed, the target on the flange."),
     click.option(

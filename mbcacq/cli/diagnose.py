@@ -84,7 +84,7 @@ if TYPE_CHECKING:
     type=click.FloatRange(0.01),
     default=OPTIONS.minutes,
     show_default=True,
-    help="End the search after so many minutes. What was found by then is reported with the verdict 'cannot tell'.",
+    help="End the search after so many minutes. The verdict is then 'cannot tell', with the effects found so far.",
 )
 @click.option("--evidence", "look", is_flag=True, help="Only compute the evidence as it stands, without cross-validation; takes seconds.")
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")

@@ -49,9 +49,9 @@ def command(
 ) -> None:
     """Merge the scans of a part in RUN (a run folder, or an observation set with scans) into one cloud in the robot's base frame.
 
-    The calibrated cell places every scan, with the effects that it knows. Where scans overlap, the command measures how far they are apart,
-    before the calibration and after it, and says what the calibration lets expect. Each point of the cloud has its normal, the number of
-    its scan and its standard uncertainty along the normal (sigma_mm).
+    The calibrated cell places every scan, with the effects that it knows. The command measures how far overlapping scans are apart, before
+    and after the calibration, and says what the calibration lets expect. Each point of the cloud has its normal, the number of its scan and
+    its standard uncertainty along the normal (sigma_mm).
 
     Example: mbcacq run plans/part.yaml --dry-run && mbcacq merge latest
 

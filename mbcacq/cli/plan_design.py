@@ -24,8 +24,8 @@ from mbcacq.quantities import significant
     multiple=True,
     type=click.Path(path_type=Path, exists=True),
     metavar="RECORDING",
-    help="Design a motion instead: one that separates masses, a load on the flange and a balancer at A2. This recording of torque, "
-    "which does not, is the start (a trajectory set or a run; repeatable).",
+    help="Design a motion instead that separates masses, a load on the flange and a balancer at A2, beginning with this recording of "
+    "torque (a trajectory set or a run; repeatable).",
 )
 @click.option(
     "--order",

@@ -199,6 +199,8 @@ def remarks(result: dict[str, Any]) -> list[str]:
     out = []
     if scope := result.get("scope"):
         out.append(f"Scope: {scope}")
+    if scale := result.get("scale_from"):
+        out.append(f"Scale: {scale}")
     held = result.get("held") or {}
     if not identifies_arm(result):
         arm = arm_parameters(result)

@@ -90,7 +90,7 @@ class _Choice:
         self._solver, self._clearance = inverse_kinematics(loaded.cell.robot, sampled=True), clearance_of(loaded)
 
     def seen(self, station: str, aim: int | None, views: list[View]) -> list[_SeenView]:
-        """Those of ``views`` of one ball, or of all (None), that show enough balls, none of which hides another."""
+        """The ``views`` of one ball, or of all (None), that show enough balls, none of them hidden."""
         cell, planning, field = self._loaded.cell, self._loaded.planning, self._loaded.plan.scanner.field_of_view
         T_base_station = cell.station(station).planned_pose
         artefact = cell.artefact(cell.station(station).artefact)
@@ -109,7 +109,7 @@ class _Choice:
         return out
 
     def taken(self, seen: list[_SeenView]) -> list[CandidateView]:
-        """Those that the arm can take."""
+        """The views that the arm can take."""
         postures = [(v, q) for v, q in zip(seen, self._postures(seen), strict=True) if q is not None]
         return [CandidateView(v.station, v.aim, v.view, self._pose(k, v.station, q, v.balls)) for k, (v, q) in enumerate(postures)]
 

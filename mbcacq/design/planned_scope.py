@@ -26,6 +26,8 @@ def scope_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> str:
     """What a calibration of these poses will leave out or refuse; '' where it determines the whole cell."""
     useful = [p for p in poses if p.balls]
     if not useful:
+        if any(loaded.cell.artefact(loaded.cell.station(p.station).artefact).is_part for p in poses):
+            return "no pose expects a ball; the cell will be calibrated by how the scans of its part stand to each other"
         return "no pose expects a ball; nothing will be calibrated"
     try:
         options = planned_scope(planned_observations(loaded, useful))

@@ -16,6 +16,7 @@ NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm"
 UNCERTAIN = "no figure is beyond its expanded uncertainty (k = 2)"
 REMOVES_NOTHING = "held-out data are predicted as well without it"
 NOT_FOUND_AGAIN = "the same search does not find it in both halves of the recording"
+SELDOM_FOUND = "most searches without a part of the poses do not find it"
 NOTHING = 0.0005  # a share that is written as 0.0 %
 
 
@@ -138,8 +139,8 @@ class FoundAgain:
 
     @property
     def repeats(self) -> bool:
-        """False where disjoint parts do not all have it."""
-        return not self.disjoint or self.found_in == self.parts
+        """False where disjoint parts do not all have it, or of searches without a part of the poses less than half."""
+        return self.found_in == self.parts if self.disjoint else 2 * self.found_in >= self.parts
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,7 @@ class EffectFound(EveryKey):
             sizes = {name: estimate.components for name, estimate in self.parameters.items()}
             reason = trend(sizes, self.gain_here, self.held_out_gain_std)
             if not reason and self.found_again and not any(one.repeats for one in self.found_again):
-                reason = NOT_FOUND_AGAIN
+                reason = NOT_FOUND_AGAIN if self.found_again[0].disjoint else SELDOM_FOUND
             object.__setattr__(self, "trend", reason)
 
     def unwritten(self) -> Sequence[str]:

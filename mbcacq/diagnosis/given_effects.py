@@ -131,7 +131,7 @@ def with_those_given(one: ComparedSet, given: EffectSet, hypothesis: Hypothesis)
 
 
 def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -> EffectSet:
-    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters. Those that an
+    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters. Effects that an
     arm cannot have are searched as all others."""
     by_label = {one.label: one for one in stated}
     members, mean, std = list[Member](), [np.zeros(0)], [np.zeros(0)]

@@ -50,7 +50,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     after, residual_after = training_score(full.joint)
     found = averaged_over_sets(full, with_alternatives(full, effects_by_contribution(full, contributions, validation, again)))
-    alike, verdict = pairs_not_separable(full.evidence), verdict_of(full, found)
+    alike, verdict = pairs_not_separable(full.evidence, full.everywhere), verdict_of(full, found)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
     # That nothing was found says little where little could have been.
@@ -66,7 +66,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
     if once or (effects and all(e.trend for e in effects)):
-        verdict = "cannot_tell"  # a name that halves do not both give, or trends alone, explain nothing
+        verdict = "cannot_tell"  # a name that parts do not give again, or trends alone, explain nothing
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
@@ -119,11 +119,11 @@ def named_alone(alike: Sequence[tuple[NotSeparable, EffectSet, EffectSet]]) -> l
 
 
 def not_found_again(effects: Sequence[EffectFound]) -> list[str]:
-    """A sentence where halves of the recording do not both show what was found."""
+    """A sentence where parts of the recording do not show again what was found."""
     named = [f"{effect_in_words(e.name)} at {one.at}" for e in effects for one in e.found_again if not one.repeats]
     if not named:
         return []
-    return [f"halves of the recording do not both show {', '.join(named)}: the recording is not explained by what one part of it shows"]
+    return [f"parts of the recording do not show {', '.join(named)} again: it is not explained by what one part of it shows"]
 
 
 def undecided_evidence(full: ModelFit) -> list[str]:
@@ -163,7 +163,7 @@ def verdict_of(full: ModelFit, effects: Sequence[EffectFound] = ()) -> str:
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided or noisy else "none"
     reported = reported_hypothesis(fit)
-    others = alternatives_to(fit, reported) if fit.significant else []
+    others = alternatives_to(fit, reported, full.everywhere) if fit.significant else []
     open_ones = frozenset[str]().union(*(reported.labels - other.labels for other, _ in others))
     shared = [e for e in effects if open_ones.isdisjoint(label_of(e.name, where) for where in (e.where, *zip(e.where, strict=True)))]
     if full.random and names_explain(shared):

@@ -61,7 +61,7 @@ def _refused(error: Exception, address: str, port: int) -> CheckupLine:
         return CheckupLine(
             "error",
             "network",
-            f"{address} is no address of this computer, which has {have}",
+            f"{address} is not an address of this computer, which has {have}",
             f"give the card wired to the controller this address (ip addr add {address}/24 dev CARD), or correct bind",
         )
     if number == errno.EACCES:

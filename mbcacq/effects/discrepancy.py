@@ -1,9 +1,9 @@
 """Smooth functions of posture for what a calibrated arm does beyond its geometry: the discrepancy of a calibration.
 
 Every group is a random effect. The groups are each joint's error as a function of its own angle, one group for each number of periods a
-turn, of the torque about it and of the direction from which it arrived. If the evidence asks for them, functions of more periods a turn and
-of the other joints' angles are added. Sizes begin large and are estimated with the noise (Kennedy and O'Hagan 2001 call what they stand for
-model discrepancy); a group that nothing asks for shrinks to nothing.
+turn, of the torque about it and of the direction from which it arrived. Functions of more periods a turn and of the other joints' angles
+are added if the evidence asks for them. Sizes begin large and are estimated with the noise (Kennedy and O'Hagan 2001 call what they stand
+for model discrepancy); a group that nothing asks for shrinks to nothing.
 """
 
 from __future__ import annotations

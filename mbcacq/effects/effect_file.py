@@ -161,7 +161,7 @@ def _check_function(function: Function, axes: int, source: str, key: str) -> Non
             raise _damaged(source, f"{key}.of", f"there is no {function.covariate} on an arm of {axes} axes")
     kind = FUNCTIONS.get(function.kind)
     if kind is None:
-        raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; where a newer mbcacq wrote it, update this one")
+        raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; if a newer mbcacq wrote it, update this one")
     count = kind.__code__.co_argcount - 1
     if len(function.numbers) != count:
         raise _damaged(source, f"{key}.numbers", f"'{function.kind}' has {count} numbers, here are {len(function.numbers)}")

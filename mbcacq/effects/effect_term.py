@@ -233,7 +233,7 @@ class EffectTerm(EveryKey):
         """(M,) bool: centres at which every covariate that has a range is as it was where the effect was learnt."""
         obs, out = here.obs, np.ones(here.obs.n_centres, bool)
         at_ends = {*self.clamped, *self.laws}
-        limited = at_ends | (self.covariates if self.fades else set())
+        limited = at_ends | (self.covariates if self.name == UNKNOWN and self.variant != COMMON_PATTERN else set())
         for name in sorted(limited & set(self.ranges) - set(self.missing(here))):
             known, values = self.ranges[name], here.value(name)
             left = np.abs(known.held(name, values) - values) > known.margin(name) if name in at_ends else known.outside(name, values)

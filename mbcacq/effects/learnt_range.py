@@ -25,8 +25,8 @@ FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
 
 @dataclass(frozen=True)
 class LearntRange:
-    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. Those of an angle are modulo a turn,
-    unless turns count (``counts_turns``), since a function of it does not repeat.
+    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. Ranges of an angle are modulo a turn,
+    unless turns count (``counts_turns``), because a function of it does not repeat.
     """
 
     intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
@@ -113,12 +113,12 @@ def learnt_range(here: Covariates, name: str, counts_turns: bool) -> LearntRange
 
 
 def loads(names: Iterable[str]) -> tuple[str, ...]:
-    """Those of some covariates that are forces or torques."""
+    """The covariates that are forces or torques."""
     return tuple(sorted(n for n in names if n.startswith(LOADS)))
 
 
 def with_a_range(names: Iterable[str]) -> tuple[str, ...]:
-    """Those of some covariates beyond whose learnt range nothing is known. What a motion leaves behind is zero at rest, wherever it is."""
+    """The covariates beyond whose learnt range nothing is known. What a motion leaves behind is zero at rest, wherever it is."""
     return tuple(sorted(n for n in names if n not in (*OF_RECORDING, "ball") and not n.startswith((*STANDSTILL, TRAVEL))))
 
 

@@ -93,8 +93,8 @@ def unit_of(part: DescribedPart) -> str:
 
 
 def carried(groups: Sequence[EffectTerm]) -> list[EffectTerm]:
-    """Those of the groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is
-    what errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
+    """The groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is what
+    errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
     """
     return [g for g in groups if g.where[0].startswith("A") or not is_angle(g.depends_on)]
 

@@ -1,7 +1,7 @@
 """Initial guess from the data alone: hand-eye by linear least squares on points at rest, stations by rigid fits of points (Kabsch).
 
-Every ball of a station is a fixed point of the base frame, whatever the hand-eye transform. That is linear in the twelve
-entries of the transform once each point's own place is eliminated by subtracting means; so no first guess is needed.
+Every ball of a station is a fixed point of the base frame, whatever the hand-eye transform. This condition is linear in the twelve entries
+of the transform once subtracting means has eliminated each point's own place, so no first guess is needed.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def scale_in_words(obs: Observations) -> str:
     return (
         f"that of the known length of balls {known.balls[0]} and {known.balls[1]} ({known.length_mm:g} mm, ± {2 * sigma:.0f} ppm, k = 2); "
         "all that was "
-        f"measured was multiplied by 1 {ppm:+.0f} ppm, and so must be what is brought into the base with this result"
+        f"measured was multiplied by 1 {ppm:+.0f} ppm; multiply what you place with this result in the same way"
     )
 
 

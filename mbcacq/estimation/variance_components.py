@@ -78,8 +78,8 @@ def reml_step(system: PoseSystem, noise: Noise, prior: NoisePrior) -> tuple[Nois
 def step_of_log_sigma(scored: np.ndarray) -> np.ndarray:
     """The step of log sigma to take where scoring gives this one.
 
-    Where one variance component alone is q times as large as supposed, the scored step is s = (q - 1) / 2q where log(q) / 2 leads to the
-    maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order. Scored steps themselves overshoot where a noise is smaller than
+    If one variance component alone is q times as large as supposed, the scored step is s = (q - 1) / 2q, and log(q) / 2 leads to the
+    maximum. So -log(1 - 2 s) / 2 is taken, which is s to first order. Scored steps themselves overshoot where a noise is smaller than
     supposed, and may go to and fro about the maximum without end.
     """
     return -0.5 * np.log1p(-2 * np.minimum(scored, LARGEST_STEP))

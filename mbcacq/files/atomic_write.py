@@ -58,7 +58,7 @@ def write_file(path: Path | str, data: bytes | str, *, folder: Path | None = Non
 def inside_folder(path: Path | str, folder: Path | None = None) -> Path:
     """The file that a path leads to through links, which may lead anywhere in a folder (default: that of the path) and nowhere else.
 
-    Whoever opens a file for writing by itself asks here first. Names of the system (/dev/stdout) may lead where they do.
+    Code that opens a file for writing by itself asks here first. Names of the system (/dev/stdout) are followed.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def write_files(
     """Write several files of one folder as a set.
 
     A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name, and a file
-    INCOMPLETE.txt lists them while they do. If that is interrupted, ``finish_set`` completes it, and the set is never half the old one.
+    INCOMPLETE.txt lists them while they do. ``finish_set`` completes an interrupted set, so it is never half the old one.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def finish_set(folder: Path | str) -> None:
-    """Complete a set of files that was stopped while its files took their names. Whoever reads a folder of sets calls it first.
+    """Complete a set of files that was stopped while its files took their names. Code that reads a folder of sets calls it first.
 
     All of them are on the disk then: the set is the new one from the moment that INCOMPLETE.txt lists it. Raises RecordingError.
     """

@@ -1,8 +1,8 @@
 """Drift of an arm over its recordings: a straight line through all parameters together, and the single parameter that explains it.
 
 One recording of a few poses determines combinations of parameters far better than any of them. The slope of all parameters over the
-recordings is estimated by generalised least squares with their whole covariances. For each parameter follows the drift that it would have
-if it were the only one that drifts, which uses those combinations. Its significance is corrected for the number of parameters.
+recordings is estimated by generalised least squares with their whole covariances. Each parameter gets the drift that it would have if it
+alone drifted; this uses those combinations. Its significance is corrected for the number of parameters.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class NumericalInverse:
         return found
 
     def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
-        """As ``branches``, with the full turns that the limits less ``margin`` (rad) allow, and nothing outside of those."""
+        """Like ``branches``, with the full turns that the limits less ``margin`` (rad) allow, and nothing outside of those."""
         low, high = self.limits[:, 0] + margin, self.limits[:, 1] - margin
         return [with_full_turns(q, low, high, self.chain.prismatic) for q in self.branches(T_base_flange)]
 

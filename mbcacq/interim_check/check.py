@@ -16,6 +16,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError, command_line
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
+from mbcacq.interim_check.on_part import seen_as_points, with_noise, with_points
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
 from mbcacq.interim_check.shown_figures import shown
@@ -34,7 +35,7 @@ from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides, name_of
-from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
+from mbcacq.workflow.load import as_observations, as_plan, as_result, is_run_folder
 from mbcacq.workflow.run import Operator
 
 HISTORY = "check.json"
@@ -55,12 +56,15 @@ class CheckSettings:
         What changes from day to day without a cause.
     folder
         Folder of this check's recording (default runs/TIME_check-NAME).
+    part
+        Judge by the scans of the plan's part, of which all are repeated; the part's place is not judged. A plan without balls always does.
     """
 
     poses: int = OPTIONS.poses
     standing: bool = True
     days: UsualChanges = OPTIONS.usual_days
     folder: Path | None = None
+    part: bool = False
 
 
 @dataclass(frozen=True)
@@ -205,21 +209,29 @@ def check(
         past = read_history(file)
         operator.progress("checking that every pose can be reached and seen")
         poses = expand(loaded)
+        on_part = settings.part or not any(p.balls for p in poses)
         if past is None:
             operator.progress("choosing the poses that notice most")
             past = _new_history(loaded, poses, cell, content, settings)
         elif past.result != digest(content):
             raise ConfigError(f"{file} is the history of another result; give another --history, one for each calibration")
         chosen = _chosen(loaded, poses, past, file)
-        planned = planned_check(loaded, chosen, cell, past.standing, past.usual_days)
+        judged, counted = with_points(loaded, chosen) if on_part else (loaded, chosen)
+        planned = planned_check(judged, counted, cell, past.standing, past.usual_days)
         if measured is None:
             run = _measure(loaded, chosen, operator, settings.folder, (seed, len(past.days)) if dry_run else None)
         else:
             run = Path(measured)
         operator.progress("judging")
-        measured_now = load_observations(run)
+        measured_now = as_observations(run)
         simulated = measured_now.cell.simulated
-        past = with_observations(planned, past, measured_now, run)
+        if on_part:
+            measured_now, noise = seen_as_points(planned, measured_now)
+            noise = noise if past.noise is None else past.noise
+            past = replace(with_observations(planned, past, measured_now, run), noise=noise)
+            planned = with_noise(planned, noise)
+        else:
+            past = with_observations(planned, past, measured_now, run)
         verdict = verdict_of(planned, past)
         past = past.judged(verdict.log_e, verdict.log_e_calibration)
         past.write(file)
@@ -264,6 +276,11 @@ def _new_history(
 ) -> CheckHistory:
     """A history without days, of the poses that notice most. Raises ConfigError where the plan has too few."""
     options = replace(OPTIONS, poses=settings.poses)
+    if settings.part or not any(p.balls for p in poses):
+        scans = with_points(loaded, poses)[1]
+        q = np.array([p.q for p in scans])
+        numbers = tuple(p.number for p in scans)
+        return CheckHistory(result=digest(content), plan=loaded.path.name, poses=numbers, q=q, standing=False, usual_days=settings.days)
     if settings.poses < options.fewest:
         raise ConfigError(f"a check of {settings.poses} poses tells hardly any change from another; give {options.fewest} or more")
     everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)

@@ -10,8 +10,8 @@ onsets it is averaged; over the levels of noise the null takes its best (univers
 
     E_t = sum over k, h, sizes, onsets of weight x density of the change / max over h of the density of the null
 
-Under the null of any mu and any level h, E is at most a martingale of mean one: P(E_t >= 1 / alpha for any t) <= alpha (Ville 1939).
-That is a bound where the noise is normal with one of the levels. Which name gets the odds is calibration: it depends on sizes and list.
+Under the null of any mu and any level h, E is at most a martingale of mean one: P(E_t >= 1 / alpha for any t) <= alpha (Ville 1939). This
+is a bound if the noise is normal with one of the levels. Which name gets the odds is calibration: it depends on sizes and list.
 
 By sufficiency the rows enter through y_t = G' Sigma^-1 r_t alone. Let T and C be their sums over all t and over the first n days. The score
 of a change after day n is S = n T / t - C, with information n (t - n) / t times G' Sigma^-1 G.

@@ -73,6 +73,8 @@ class CheckHistory:
         Artefacts stay between checks.
     stations : Mapping[str, Transform]
         T_base_station (4, 4) by id, as the first check found them.
+    noise : ndarray or None
+        (R, R) mm^2 of the points of a part, as the first check found it; None of balls, whose noise is that of the calibration.
     days : tuple[CheckedDay, ...]
         All checks, in order.
     usual_days : UsualChanges
@@ -86,6 +88,7 @@ class CheckHistory:
     standing: bool
     usual_days: UsualChanges
     stations: Mapping[str, Transform] = field(default_factory=dict)
+    noise: Annotated[Matrix | None, Field(alias="noise_mm2")] = None
     days: tuple[CheckedDay, ...] = ()
 
     def with_day(self, day: CheckedDay) -> CheckHistory:

@@ -48,6 +48,8 @@ class PlannedCheck:
         Rows and changes of the e-process.
     standing : bool
         Artefacts stay where they stand between checks; otherwise each is placed anew, and its place is not judged.
+    shown : ndarray
+        (R,) bool, rows that count.
     """
 
     poses: tuple[PlannedPose, ...]
@@ -58,6 +60,7 @@ class PlannedCheck:
     rows: Rows
     changes: tuple[PossibleChange, ...]
     standing: bool
+    shown: np.ndarray
 
     @property
     def keys(self) -> list[tuple[int, int]]:
@@ -82,7 +85,15 @@ def planned_check(
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
     found = possible_changes(obs, state, prediction, standing)
     return PlannedCheck(
-        poses=tuple(poses), cell=cell, state=state, obs=obs, prediction=prediction, rows=rows, changes=tuple(found), standing=standing
+        poses=tuple(poses),
+        cell=cell,
+        state=state,
+        obs=obs,
+        prediction=prediction,
+        rows=rows,
+        changes=tuple(found),
+        standing=standing,
+        shown=np.ones(3 * obs.n_centres, dtype=bool),
     )
 
 

@@ -21,6 +21,7 @@ from mbcacq.model.json_text import keyed
 AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
 POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
+UNSEEN = 1e4  # usual changes: what is noticed no sooner is not seen at all
 SHOWN = 6  # suspects in a sentence
 
 
@@ -104,12 +105,13 @@ def evidence_of(check: PlannedCheck, history: CheckHistory) -> Evidence:
     """The e-process of a history, by the centres that every day has."""
     common = set(check.keys).intersection(*(day.residual.keys() for day in history.days))
     kept = [key in common for key in check.keys]
-    keep = np.repeat(kept, 3)
+    keep = np.repeat(kept, 3) & check.shown
     if sum(kept) < LEAST_COMMON * len(kept):
         raise DeviceFault(
             f"only {sum(kept)} of {len(kept)} balls of the check were found on all of its days; clear the views and begin a new --history"
         )
-    days = np.array([np.concatenate([day.residual[key] for key, k in zip(check.keys, kept, strict=True) if k]) for day in history.days])
+    measured = [np.concatenate([day.residual.get(key, np.zeros(3)) for key in check.keys]) for day in history.days]
+    days = np.array(measured)[:, keep]
     changes = tuple(r.select(keep) for r in check.changes)
     process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]))
     return Evidence(process, changes, days, keep)
@@ -280,6 +282,7 @@ def noticed(evidence: Evidence, level: int, T: int) -> tuple[tuple[str, str, flo
         size = change.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
         out += [
             (change.name, f"{change.where} {p}" if len(size) > 1 else change.where, float(v), u)
-            for p, v, u in zip(change.parameters, size, change.units, strict=True)
+            for p, v, u, usual in zip(change.parameters, size, change.units, change.usual, strict=True)
+            if v < UNSEEN * usual
         ]
     return tuple(out)

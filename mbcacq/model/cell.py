@@ -15,6 +15,7 @@ Measurement = Literal["artefact_in_scanner", "target_in_base"]
 Drive = Literal["gear", "direct", "belt", "friction_wheel", "screw", "scaled_encoder"]
 ARTEFACT_IN_SCANNER: Final = "artefact_in_scanner"
 TARGET_IN_BASE: Final = "target_in_base"
+SCENE: Final = "scene"  # artefact of scans of a part, whose frame is what these scans make of it
 SIMULATED = "simulated: the fake cell or a model made these data, no real arm was measured"
 
 
@@ -106,8 +107,8 @@ class KnownLength:
 class Artefact:
     """A certified object. ball_ids: certificate names, unique in the cell. centres: (B, 3) mm, artefact frame; diameters: (B,) mm.
 
-    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown. Where it is not
-    certified, the centres are a guess (NaN: none yet), and known_length is all that is known of its scale, if anything.
+    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown. The centres of an
+    artefact without a certificate are a guess (NaN: none yet), and known_length is all that is known of its scale, if anything.
     """
 
     id: str

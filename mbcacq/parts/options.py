@@ -19,6 +19,9 @@ class PartOptions:
     (about 0.01 rad) feigns a determination.
     captured: share of a cell by which scans may be apart for their step to be that of one linearisation.
     steps: linearisations, at most.
+    coarse: sizes of the cells, in those at last, by which scans that are millimetres apart are brought together.
+    scene_cells: of a scene, at most; their heights are unknowns of one dense system.
+    noise_pairs: overlaps from which the smooth noise of a scene is estimated.
     block_points: merged at a time; each takes about 100 bytes.
     cad_reach_mm: points farther from the CAD model are no points of the part.
     fit_capture_mm: by so much the part may stand off its planned place for the best fit to find it.
@@ -37,6 +40,9 @@ class PartOptions:
     slope: float = 0.07
     captured: float = 0.1
     steps: int = 4
+    coarse: tuple[float, ...] = (4.0, 2.0)
+    scene_cells: int = 1500
+    noise_pairs: int = 15
     block_points: int = 4_000_000
     cad_reach_mm: float = 5.0
     fit_capture_mm: float = 30.0

@@ -1,14 +1,15 @@
-"""Distances of two scans along the normal, cell by cell of their overlap."""
+"""Distances of scans along the normal, cell by cell of their overlaps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.parts.options import PartOptions
 
-_TERMS = 7  # of a cell: a quadric of six coefficients, and the distance
+_TERMS = 5  # of the shape of a cell: a quadric but for its height
 
 
 @dataclass(frozen=True)
@@ -47,33 +48,93 @@ def cells_of(points: np.ndarray, edge: float) -> np.ndarray:
     return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]
 
 
-def overlap(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], edge: float, options: PartOptions) -> Overlap:
-    """Compare two scans, each given as points and unit normals (N, 3) in the base frame.
+@dataclass(frozen=True)
+class SurfaceCells:
+    """Cells of a surface that two scans or more share, base frame. A group is the points of one scan in one cell.
 
-    In each cell of edge ``edge`` mm both share one quadric over the tangential plane, and the first may lie off it by a distance. So
-    neither curvature nor the places of the samples bias the distance.
+    Attributes
+    ----------
+    point, normal : ndarray
+        (c, 3) mm and unit vectors.
+    scatter : ndarray
+        (c,) mm, of a point about the surface.
+    cell, scan : ndarray
+        (g,) numbers of the cell and of the scan of each group, in this order.
+    height : ndarray
+        (g,) mm, of a group over ``point`` along the normal.
+    variance : ndarray
+        (g,) mm^2 of it, by the scatter of the points: roughness of the surface, and the incidence.
     """
-    points, normals = (np.concatenate([x, y]) for x, y in zip(a, b, strict=True))
-    first = np.arange(len(points)) < len(a[0])
+
+    point: np.ndarray
+    normal: np.ndarray
+    scatter: np.ndarray
+    cell: np.ndarray
+    scan: np.ndarray
+    height: np.ndarray
+    variance: np.ndarray
+
+    def groups(self, which: np.ndarray) -> SurfaceCells:
+        """Some of the groups, by mask; cells that no two of these share go."""
+        which = which & (np.bincount(self.cell[which], minlength=len(self.point)) > 1)[self.cell]
+        kept, cell = np.unique(self.cell[which], return_inverse=True)
+        return replace(
+            self,
+            point=self.point[kept],
+            normal=self.normal[kept],
+            scatter=self.scatter[kept],
+            cell=cell,
+            scan=self.scan[which],
+            height=self.height[which],
+            variance=self.variance[which],
+        )
+
+    def pair(self, i: int, j: int) -> Overlap:
+        """The overlap of two scans."""
+        a, b = (np.flatnonzero(self.scan == k) for k in (i, j))
+        cells, first, second = np.intersect1d(self.cell[a], self.cell[b], assume_unique=True, return_indices=True)
+        a, b = a[first], b[second]
+        distance, variance = self.height[a] - self.height[b], self.variance[a] + self.variance[b]
+        return Overlap(self.point[cells], self.normal[cells], distance, variance, self.scatter[cells])
+
+
+def overlap(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], edge: float, options: PartOptions) -> Overlap:
+    """Compare two scans, each given as points and unit normals (N, 3) in the base frame; edge of the cells in mm."""
+    return surface_cells([a, b], edge, options).pair(0, 1)
+
+
+def surface_cells(scans: Sequence[tuple[np.ndarray, np.ndarray]], edge: float, options: PartOptions) -> SurfaceCells:
+    """Compare scans, each given as points and unit normals (N, 3) in the base frame.
+
+    In each cell of edge ``edge`` mm all share the shape of one quadric over the tangential plane, and each has a height of its own. So
+    neither curvature nor the places of the samples bias their distances.
+    """
+    count = len(scans)
+    points, normals = (np.concatenate([scan[k] for scan in scans]) for k in range(2))
     key, cell = np.unique(cells_of(points, edge), return_inverse=True)
-    count = np.stack([np.bincount(cell[first], minlength=len(key)), np.bincount(cell[~first], minlength=len(key))])
-    shared = np.flatnonzero((count >= options.points_in_cell).all(axis=0))
-    if not len(shared):
-        return Overlap(*(np.empty((0, 3)),) * 2, *(np.empty(0),) * 3)
-    number = np.full(len(key), -1)
-    number[shared] = np.arange(len(shared))
-    inside = number[cell] >= 0
-    cell, points, normals, first = number[cell][inside], points[inside], normals[inside], first[inside]
-    return _fitted(points, normals, first, cell, len(shared), options)
+    group, of_group = np.unique(cell * count + np.repeat(np.arange(count), [len(scan[0]) for scan in scans]), return_inverse=True)
+    enough = np.bincount(of_group) >= options.points_in_cell
+    shared = np.bincount(group[enough] // count, minlength=len(key)) > 1
+    enough &= shared[group // count]
+    cells = np.cumsum(shared) - 1
+    renumbered, inside = np.cumsum(enough) - 1, enough[of_group]
+    group = group[enough]
+    return _fitted(points[inside], normals[inside], renumbered[of_group[inside]], (cells[group // count], group % count), options)
 
 
-def _fitted(points: np.ndarray, normals: np.ndarray, first: np.ndarray, cell: np.ndarray, m: int, options: PartOptions) -> Overlap:
-    total = np.bincount(cell, minlength=m)
+def _fitted(
+    points: np.ndarray, normals: np.ndarray, group: np.ndarray, numbers: tuple[np.ndarray, np.ndarray], options: PartOptions
+) -> SurfaceCells:
+    """group: (n,) of each point; numbers: (g,) cell and (g,) scan of each group."""
+    cell_of, scan = numbers
+    cell, m, g = cell_of[group], int(cell_of.max(initial=-1)) + 1, len(cell_of)
+    total, in_group, groups = np.bincount(cell, minlength=m), np.bincount(group, minlength=g), np.bincount(cell_of, minlength=m)
 
-    def sums(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(cell, column, m) for column in values.reshape(len(cell), -1).T], axis=1)
+    def sums(values: np.ndarray, of: np.ndarray, size: int) -> np.ndarray:
+        columns = [np.bincount(of, column, size) for column in values.reshape(len(of), -1).T]
+        return np.stack(columns, axis=1).reshape(size, *values.shape[1:])
 
-    middle, normal = sums(points) / total[:, None], sums(normals)
+    middle, normal = sums(points, cell, m) / total[:, None], sums(normals, cell, m)
     length = np.linalg.norm(normal, axis=1)
     normal /= length[:, None]
     u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
@@ -82,20 +143,26 @@ def _fitted(points: np.ndarray, normals: np.ndarray, first: np.ndarray, cell: np
     arm = points - middle[cell]
     size = np.sqrt(np.bincount(cell, np.einsum("nc,nc->n", arm, arm), m) / total)  # scales the terms to order 1
     x, y = (np.einsum("nc,nc->n", arm, axis[cell]) / size[cell] for axis in (u, v))
-    height = np.einsum("nc,nc->n", arm, normal[cell])
-    A = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, first - 0.5], axis=1)
-    N = sums(A[:, :, None] * A[:, None, :]).reshape(m, _TERMS, _TERMS)
-    scale = 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(_TERMS)
-    inverse = np.linalg.inv(N + scale)
-    coefficients = np.einsum("mij,mj->mi", inverse, sums(A * height[:, None]))
-    left = height - np.einsum("nk,nk->n", A, coefficients[cell])
-    scatter = np.sqrt(np.bincount(cell, left**2, m) / np.maximum(total - _TERMS, 1))
-    slope = np.einsum("mk,mkc->mc", coefficients[:, 1:3] / size[:, None], np.stack([u, v], axis=1))
+    terms = np.stack([x, y, x * x, x * y, y * y, np.einsum("nc,nc->n", arm, normal[cell])], axis=1)
+    mean = sums(terms, group, g) / in_group[:, None]
+    within = terms - mean[group]
+    A, height = within[:, :_TERMS], within[:, _TERMS]
+    N = sums(A[:, :, None] * A[:, None, :], cell, m)
+    inverse = np.linalg.inv(N + 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(_TERMS))
+    shape = np.einsum("mij,mj->mi", inverse, sums(A * height[:, None], cell, m))
+    left = height - np.einsum("nk,nk->n", A, shape[cell])
+    scatter = np.sqrt(np.bincount(cell, left**2, m) / np.maximum(total - groups - _TERMS, 1))
+    slope = np.einsum("mk,mkc->mc", shape[:, :2] / size[:, None], np.stack([u, v], axis=1))
     tilted = normal - slope  # of the fitted surface, better than the mean of the points' normals
     factor = np.linalg.norm(tilted, axis=1)
-    usual = np.median(scatter)
-    smooth = (length > 0.9 * total) & (scatter < options.rough * usual) & (inverse[:, -1, -1] * total < 16 * 4)
+    usual = np.median(scatter) if m else 0.0
+    apart = (
+        mean[:, :_TERMS] - (sums(mean[:, :_TERMS], cell_of, m) / groups[:, None])[cell_of]
+    )  # where a scan shows another part of the cell
+    lever = 2 * np.einsum("gi,gij,gj->g", apart, inverse[cell_of], apart)  # exact for the distance of two scans
+    smooth = (length > 0.9 * total) & (scatter < options.rough * usual)
     # A cell of few points may scatter little by chance: no cell counts as smoother than half of them do.
-    variance = inverse[:, -1, -1] * np.maximum(scatter, usual) ** 2 / factor**2
-    found = Overlap(middle, tilted / factor[:, None], coefficients[:, -1] / factor, variance, scatter)
-    return found.some(smooth)
+    variance = (1 / in_group + lever) * (np.maximum(scatter, usual) / factor)[cell_of] ** 2
+    high = (mean[:, _TERMS] - np.einsum("gk,gk->g", mean[:, :_TERMS], shape[cell_of])) / factor[cell_of]
+    found = SurfaceCells(middle, tilted / factor[:, None], scatter, cell_of, scan, high, variance)
+    return found.groups(smooth[cell_of] & (lever * in_group < 8))

@@ -29,8 +29,12 @@ class SmoothNoise:
 
     def covariance(self, cells: Overlap) -> np.ndarray:
         """(c, c) mm^2 of the distances."""
-        square = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
-        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(cells.variance)
+        return self.covariance_of(cells.point, cells.variance)
+
+    def covariance_of(self, points: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """(c, c) mm^2 of heights at points (c, 3) mm, whose own variance (c,) is known."""
+        square = np.sum((points[:, None] - points) ** 2, axis=2)
+        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(variance)
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class RigidStep:
 
     @property
     def scaled(self) -> np.ndarray:
-        """(6,) by which a twist is multiplied for all of its parts to be mm."""
+        """(6,) factors that turn all components of a twist into mm."""
         return np.repeat([1.0, self.radius_mm], 3)
 
     def shown(self, twist: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ def looks_like_radians(angles_deg: Sequence[float], limits: np.ndarray) -> str:
 
 
 def lacks_orientation(loaded: LoadedPlan) -> Implausible | None:
-    """Where a plan calibrates with artefacts of fewer than three balls only, or of balls on one line: the sentence about it."""
+    """The sentence about a plan that calibrates only with artefacts of fewer than three balls, or of balls on one line."""
     artefact_of = {s.id: loaded.cell.artefact(s.artefact) for s in loaded.cell.stations}
     first: Implausible | None = None
     for index, step in enumerate(loaded.plan.steps):

@@ -31,7 +31,7 @@ Routes = tuple[list[Transit], list[Obstructed]]
 def path(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int] = frozenset()) -> list[Transit]:
     """One transit a pose, free of collisions as far as the plan knows the cell.
 
-    Where the station changes it goes by home, so that the artefact can be moved. done: numbers of poses to pass over (a resumed run); their
+    It goes by home if the station changes, so that the artefact can be moved. done: numbers of poses to pass over (a resumed run); their
     transits are empty. The path to the first pose that is not done starts at home, and every pose is approached from the one before it,
     even if that is done. Gears then arrive from the same side as in an undisturbed run. Raises ConfigError naming the step of the first
     pose to which no free path was found.

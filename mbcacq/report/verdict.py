@@ -152,8 +152,8 @@ def one_sign(spacing: Spacing | None) -> str:
 def expected_accuracy(result: Mapping[str, Any]) -> tuple[str, str] | None:
     """Expanded uncertainty (k = 2) of a point in the workspace with its unit, and a remark on the misfit that is in it, or ''.
 
-    If the residuals need clearly more than the stated noise, the model lacks something that nobody has named, and a new point is off by it
-    too. The part of the residual beyond the stated noise is added in quadrature. None where the result expects nothing.
+    The model lacks something unnamed if the residuals need clearly more than the stated noise; a new point is off by it too. The part of
+    the residual beyond the stated noise is added in quadrature. None where the result expects nothing.
     """
     expected = result["fit"].get("expected_accuracy_mm")
     if expected is None:

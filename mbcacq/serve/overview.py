@@ -87,7 +87,7 @@ def read_overview(folder: Path) -> Overview:
     try:
         for name in FILES:
             if (folder / name).is_file() and (folder / name).stat().st_size > MOST_BYTES:
-                return Overview(damaged=f"{name} is larger than {MOST_BYTES >> 20} MB, as none of its kind is", started=started)
+                return Overview(damaged=f"{name} is larger than {MOST_BYTES >> 20} MB, and no file of its kind is", started=started)
         if (folder / CHECK_RESULT).exists():
             check = read_check_result(folder)
         if (folder / "result.json").exists():

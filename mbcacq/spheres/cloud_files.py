@@ -113,7 +113,7 @@ def _text(path: Path) -> tuple[np.ndarray, str]:
     try:
         text = raw.decode("utf-16") if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else raw.decode("latin-1")
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: begins as UTF-16 and is none; save the cloud as text") from None
+        raise ConfigError(f"{path}: begins like UTF-16 but is not; save the cloud as text") from None
     lines = text.splitlines()
     start = next((k for k, line in enumerate(lines[:100]) if _numbers(line) is not None), None)
     if start is None:

@@ -279,8 +279,8 @@ def calibration_content(
     observations: Observations | None = None,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. observations: where they have been read from ``data`` already. Where the plan has no phase 'position',
-    what is calibrated is what its run calibrates (``options_for``).
+    where asked for. observations: where they have been read from ``data`` already. A plan without the phase 'position' is calibrated for
+    what its run calibrates (``options_for``).
 
     Raises CalibrationError, ConfigError.
     """

@@ -12,7 +12,7 @@ from mbcacq.plan import LoadedPlan, load
 
 
 def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> list[Path]:
-    """Copy a plan that came with the tool; its files, the plan first. Where it is interrupted, none of them is replaced or all are.
+    """Copy a plan that came with the tool; its files, the plan first. An interruption replaces none of them or all.
 
     Parameters
     ----------

@@ -226,8 +226,8 @@ def diagnose_poses(observations: Observations, how: Question, *, formulas: bool 
 
 
 def fitted_model(observations: Observations, model: EffectModel) -> tuple[EffectModel | None, tuple[str, ...]]:
-    """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
-    cell with them, they stay as the diagnosis had them, and a sentence says why.
+    """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. They stay as the diagnosis had them if the
+    recording does not determine the cell with them; a sentence says why.
     """
     from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
     from mbcacq.errors import CalibrationError

@@ -32,20 +32,11 @@ HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these 
 class DiagnosisResult:
     """What a diagnosis found. It pickles, with its pictures.
 
-    Attributes
-    ----------
-    poses, motion
-        The diagnosis of the poses at standstill, and that of the motion; at least one of them is there.
-    observations
-        What the diagnosis of the poses is of; None if it was read from JSON.
-    given_motion
-        The evidence of the poses with what the motion is sure of as their prior.
-    checks
-        What was learnt, tried on other recordings.
-    provenance
-        The files (name, bytes, SHA-256), the versions of the programs, the options.
-    simulation
-        The MuJoCo model with which the recording was compared, and what was found written into it.
+    Attributes ---------- poses, motion The diagnosis of the poses at standstill, and that of the motion; at least one of them is there.
+    observations The diagnosed observations; None if the diagnosis was read from JSON. given_motion The evidence of the poses, with the
+    motion's certain effects as their prior. checks What was learnt, tried on other recordings. provenance The files (name, bytes, SHA-256),
+    the versions of the programs, the options. simulation The MuJoCo model with which the recording was compared, and what was found written
+    into it.
     """
 
     poses: Diagnosis | None = None
@@ -58,7 +49,7 @@ class DiagnosisResult:
 
     @property
     def main(self) -> Diagnosis | MotionDiagnosis:
-        """The diagnosis whose verdict counts: that of the poses, where there is one."""
+        """The diagnosis whose verdict counts: of the poses, otherwise of the motion."""
         found = self.poses or self.motion
         if found is None:
             raise ConfigError("this diagnosis is of nothing; diagnose a recording with mbcacq.diagnose")
@@ -71,13 +62,12 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; it is that of poses and motion together where there are
-        both."""
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together if there are both."""
         return self.main.verdict if self.both is None else self.both.verdict
 
     @cached_property
     def both(self) -> PosesAndMotion | None:
-        """Poses and motion as one problem, where there are both."""
+        """Poses and motion as one problem, if there are both."""
         from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
         return None if self.poses is None or self.motion is None else PosesAndMotion(self.poses, self.motion, self.given_motion)
@@ -287,7 +277,7 @@ class DiagnosisResult:
         keep_in_run(self.to_dict(), cards_of(poses), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). If there are poses and motion, the motion has its own key.
+        """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). The motion has its own key if there are poses and motion.
 
         Returns
         -------

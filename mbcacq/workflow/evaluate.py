@@ -18,7 +18,7 @@ from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run
-from mbcacq.workflow.load import load_observations
+from mbcacq.workflow.load import as_observations
 
 if TYPE_CHECKING:
     from mbcacq.report.content import Content
@@ -108,7 +108,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     from mbcacq.report.sources.run_folder import read_run_info
 
     progress("reading the recording")
-    observations = load_observations(run)
+    observations = as_observations(run)
     progress("calibrating and verifying")
     options, improved = options_for(observations, CalibrationOptions()), improvement_of_run(run, observations)
     if improved is not None:  # it shows what a calibration changed, and need not determine the arm once more

@@ -103,7 +103,7 @@ def moved_artefacts(obs: Observations, before: frozenset[int]) -> list[str]:
             name = obs.cell.stations[int(s)].id
             out.append(
                 f"the artefact at station {name} stands {shift:.2f} mm from where it stood before (standard deviation {std:.2f} mm), or "
-                "the cell has changed meanwhile: where it was put back by hand, give the visit a station of its own at the same place"
+                "the cell has changed meanwhile: if it was put back by hand, give the visit a station of its own at the same place"
             )
     return out
 

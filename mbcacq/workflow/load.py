@@ -97,8 +97,16 @@ def as_plan(plan: LoadedPlan | Path | str) -> LoadedPlan:
 
 
 def as_observations(data: Observations | Path | str) -> Observations:
-    """Observations as they are, or read from their place; see ``load_observations``."""
-    return data if isinstance(data, Observations) else load_observations(data)
+    """Observations as they are, or read from their place; see ``load_observations``. A recording that saw parts alone
+    gives the places of their scenes."""
+    if isinstance(data, Observations):
+        return data
+    found = load_observations(data)
+    if found.n_centres or not any(artefact.is_part for artefact in found.cell.artefacts):
+        return found
+    from mbcacq.workflow.part_scenes import scenes_as_observations
+
+    return scenes_as_observations(Path(data), found)
 
 
 def as_trajectories(data: Sequence[Trajectory | Path | str]) -> list[Trajectory]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
-from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
-from mbcacq.workflow.load import as_cell, is_run_folder
+from mbcacq.workflow.load import as_cell
+from mbcacq.workflow.part_scenes import scans_at, thinned_scans
 
 VOXELS_PER_SPACING = 1.0
 DRAWN = 3000  # points of a scan
@@ -119,10 +119,10 @@ def merge_scans(
     if isinstance(cell.nominal, FlangePoses) or observations.q.shape[1] != cell.nominal.n:
         raise ConfigError("the result and the recording are of different arms; give the result of this cell")
     station = _station(observations, station)
-    scans = _scans(source, observations, station)
+    scans = scans_at(source, observations, station)
     progress("comparing the scans where they overlap")
     count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
-    seen = _thinned(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
+    seen = thinned_scans(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
     ways = placements(cell)
     compared = agreement(seen[0], ways, o)
     voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
@@ -179,48 +179,3 @@ def _station(observations: Observations, wanted: str | None) -> str:
         what = f"parts were scanned at {', '.join(parts)}" if parts else "no part was scanned, only artefacts"
         raise ConfigError(f"{what}; say whose scans are meant by --station (there: {', '.join(known)})")
     return parts[0]
-
-
-def _thinned(scans: Scans, most: int) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
-    """The first exposure of every pose with at most so many points; and the median spacing of the points in mm.
-
-    Further exposures of a pose stand where the first one does: they tell nothing of the cell.
-    """
-    kept, apart = [], []
-    for scan in scans():
-        if kept and scan.number == kept[-1][0].number:
-            continue
-        surface = surface_of(scan)
-        some = thinned(surface, most)
-        kept.append((PartScan(scan.number, scan.q, some.points), some))
-        apart.append(spacing(surface.points))
-    if not kept:
-        raise ConfigError("the recording holds no scan of the part; was it recorded with keep_clouds, or are its clouds in scans/POSE.ply?")
-    return kept, float(np.median(apart))
-
-
-def _scans(source: Path, observations: Observations, station: str) -> Scans:
-    index = [s.id for s in observations.cell.stations].index(station)
-    of_pose = {int(n): q for n, q, s in zip(observations.pose_id, observations.q, observations.station, strict=True) if s == index}
-    read = _of_run if is_run_folder(source) or source.is_file() else _of_folder
-    return lambda: read(source, of_pose)
-
-
-def _of_run(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
-    """Scans of a recording; the exposures of a pose one after the other."""
-    from mbcacq.recording.rrd.reader import open_recordings
-
-    for recording in open_recordings(source):
-        for taken in recording.scans():
-            if taken.pose in of_pose and len(taken.scan.points):
-                yield PartScan(taken.pose, of_pose[taken.pose], taken.scan.points)
-
-
-def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
-    from mbcacq.spheres.cloud_files import SUFFIXES, read_points
-
-    for number, q in of_pose.items():
-        for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
-            if path.is_file():
-                yield PartScan(number, q, read_points(path))
-                break

@@ -17,7 +17,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
-from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
+from mbcacq.workflow.load import as_observations, is_run_folder, unsealed_note
 
 
 def write_report(
@@ -79,7 +79,7 @@ def _write(
     from mbcacq.report import pdf_from_result, report_from_result
 
     progress("reading the recording")
-    observations = data.fit.observations if isinstance(data, CalibratedCell) else load_observations(data)
+    observations = data.fit.observations if isinstance(data, CalibratedCell) else as_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
         result["gaps"] = [*_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]

@@ -58,10 +58,10 @@ def simulate_poses(
 ) -> Observations:
     """Every planned pose with its expected balls, where the model puts them (mm, scanner frame); times and directions of motion as planned.
 
-    result: the content of a result.json; default the nominal cell. Stations that the result does not have stand where the plan puts
-    them. noise: add the scatter of centres and the repeatability of the joints (the result's, else the plan's and the data sheet's).
-    As in a run, the cell that is written has no placements of stations; it states the scatter of a centre, for a solver that has no
-    scatter to estimate it from. Raises ConfigError where result and plan do not match.
+    result: the content of a result.json; default the nominal cell. Stations that the result does not have stand where the plan puts them.
+    noise: add the scatter of centres and the repeatability of the joints (the result's, else the plan's and the data sheet's). The cell
+    that is written has no placements of stations, as in a run. It states the scatter of a centre, for a solver that has no scatter to
+    estimate it from. Raises ConfigError where result and plan do not match.
     """
     from mbcacq.design.simulated_observations import planned_observations
     from mbcacq.plan import path

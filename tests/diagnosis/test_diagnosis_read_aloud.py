@@ -99,6 +99,10 @@ def test_a_verdict_that_cannot_tell_says_of_what():
     assert "How sure: joint_compliance at A2 and lost_motion at A2 cannot be told apart (correlation 0.99, odds 1 : 5" in text
     assert "What next: measure more" in text
     assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses leave open whether there is an effect")
+    trend = replace(SOFT, parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(1e-7, 1e-7)})
+    text = words(diagnosed("cannot_tell", trend, UNMODELLED))
+    assert text.startswith("Cannot tell: not all of what would explain the mismatch has a reliable figure in these poses.")
+    assert "How sure: p < 10⁻⁶ for unmodelled effect of q2 at link2" in text
 
 
 def test_of_several_effects_that_stand_together_each_is_in_words():

@@ -6,15 +6,23 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, EffectFound, FoundAgain
+from mbcacq.diagnosis.effect_found import NOT_FOUND_AGAIN, SELDOM_FOUND, EffectFound, FoundAgain
 from mbcacq.diagnosis.evidence.order_posterior import OrderPeak
 from mbcacq.diagnosis.model_fit import PartModel
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
-from mbcacq.diagnosis.output.orders import fast_part, pooled_spread, stated_orders
+from mbcacq.diagnosis.output.orders import fast_part, pooled_spread, rms_over_angles, stated_orders
 from mbcacq.diagnosis.output.repetition import sentences
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation.folds import blocks
-from mbcacq.diagnosis.validation.found_again import jackknife, shows, size_spread, with_spread_between_parts
+from mbcacq.diagnosis.validation.found_again import (
+    jackknife,
+    relative_sizes,
+    relative_spread,
+    shows,
+    size_spread,
+    spread_of_kinds,
+    with_spread_between_parts,
+)
 from mbcacq.diagnosis.verdict import not_found_again
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -89,6 +97,29 @@ def test_lines_closer_than_two_periods_over_the_travel_are_not_determined_where_
     assert all(one.determined for one in far.orders)
 
 
+def test_less_than_a_period_over_the_travel_has_no_order_where_halves_were_asked():
+    slow, whole = (with_orders(gear([order], [0.01], halves=[[order], [order]])) for order in (0.6, 0.8))
+    assert not any(one.determined for one in slow.orders)
+    assert all(one.determined for one in whole.orders)
+
+
+def test_beside_a_single_line_stands_the_rms_of_all_that_a_long_recording_shows_of_the_joint():
+    effect = gear([22.0], [0.003], halves=[[22.0], [22.0]])
+    (parts,) = effect.found_again
+    found = stated_orders(effect, "A6", [()], parts, RESOLUTION, whole=ParameterEstimate(0.03, 0.004))
+    assert found.parameters["A6.order"].value == 22.0
+    assert found.parameters["A6.rms_deg"].value == 0.03
+    assert found.parameters["A6.rms_deg"].std == pytest.approx(np.hypot(0.004, 0.03 * 5e-4 / 0.02))
+
+
+def test_the_rms_of_an_error_is_as_uncertain_as_the_angles_at_which_it_was_seen_differ():
+    angle = np.random.default_rng(5).permutation(np.linspace(0, 2, 4000))
+    even = rms_over_angles(angle, np.sin(40 * np.pi * angle))
+    grown = rms_over_angles(angle, np.where(angle < 1, 1.0, 2.0) * np.sin(40 * np.pi * angle))
+    assert even == ParameterEstimate(pytest.approx(np.sqrt(0.5), rel=1e-3), pytest.approx(0.0, abs=1e-3))
+    assert abs(grown.value - 2 * even.value) < 2 * np.hypot(grown.std, even.std) * 1.1  # what its second half alone would show
+
+
 def test_an_order_is_no_surer_than_those_of_all_joints_differ_between_halves():
     gears = [gear([22.0], [0.003], halves=[[21.99], [22.01]]), gear([11.0], [0.003], halves=[[10.9], [11.1]])]
     spread = pooled_spread(gears, {"A6": RESOLUTION})
@@ -113,9 +144,10 @@ def test_what_halves_do_not_both_show_is_a_trend_and_explains_nothing():
     assert twice.trend == ""
     assert not_found_again([twice]) == []
     (note,) = not_found_again([once, twice])
-    assert note.startswith("halves of the recording do not both show gear_transmission_error at A6")
+    assert note.startswith("parts of the recording do not show gear_transmission_error at A6 again")
     assert "found again in 1 of 2 halves by blocks" in sentences(once)
-    few = replace(once, found_again=(FoundAgain("A6", 3, 4, False),))
+    seldom, few = (replace(once, found_again=(FoundAgain("A6", n, 4, False),)) for n in (1, 3))
+    assert seldom.trend == SELDOM_FOUND
     assert few.trend == ""
     assert "found again in 3 of 4 searches without a part of the poses (too few poses for halves)" in sentences(few)
 
@@ -137,11 +169,42 @@ def test_a_size_is_no_surer_than_halves_agree():
     assert with_spread_between_parts([overlapping]) == [overlapping]
 
 
-def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
-    def model(*sizes):
-        groups = [RandomEffect(f"A{j + 1}", f"q{j + 1}", (), size * np.array([1.0, 0.5])) for j, size in enumerate(sizes)]
-        return PartModel(model=NO_EFFECTS, random=tuple(groups), stated={})
+def test_a_figure_whose_halves_agree_by_chance_is_no_surer_than_the_others_of_its_effect():
+    halves = {"about_x_rad": (1e-5, 5e-5), "about_y_rad": (3e-5, 3e-5)}
+    bias = EffectFound(
+        name="orientation_bias",
+        where=("target",),
+        parameters={name: ParameterEstimate(3e-5, 1e-6) for name in halves},
+        p_value=1e-9,
+        held_out_gain=0.9,
+        found_again=(FoundAgain("target", 2, 2, True, {k: tuple(ParameterEstimate(v, 1e-6) for v in each) for k, each in halves.items()}),),
+    )
+    (found,) = with_spread_between_parts([bias])
+    assert found.parameters["about_x_rad"].std == pytest.approx(2e-5)
+    assert found.parameters["about_y_rad"].std == pytest.approx(2e-5 / np.sqrt(2))
 
+
+def model(*sizes):
+    """A part of a recording with an unmodelled effect of each joint's angle."""
+    groups = [RandomEffect(f"A{j + 1}", f"q{j + 1}", (), size * np.array([1.0, 0.5])) for j, size in enumerate(sizes)]
+    return PartModel(model=NO_EFFECTS, random=tuple(groups), stated={})
+
+
+def test_something_unmodelled_that_one_half_lacks_is_as_uncertain_as_it_is_large():
+    sizes = relative_sizes(model(2.0, 3.0).random, [model(2.0, 3.0), model(2.0)], ("A2", "q2"))
+    assert sizes.tolist() == [1.0, 0.0]
+    assert relative_spread(sizes) == 1.0
+    assert relative_spread(np.array([1.0, 1.0])) == 0.0
+
+
+def test_what_halves_put_now_to_one_link_and_now_to_the_next_is_at_none_for_certain():
+    same, once = np.array([1.0, 1.0]), np.array([1.0, 0.0])
+    spread = spread_of_kinds({("link1", "q1"): same, ("link2", "q2"): once, ("A1", "q1"): same, ("A2", "q2"): same})
+    assert spread["A1", "q1"] == 0.0
+    assert spread["link1", "q1"] == spread["link2", "q2"] == pytest.approx(np.sqrt(0.5))
+
+
+def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
     spread = size_spread(model(2.0, 3.0).random, [model(1.8, 3.3), model(2.2, 2.7)])
     assert spread == pytest.approx(0.1 / 0.6745)
     unmodelled = EffectFound(

@@ -1,4 +1,4 @@
-"""What was learnt has a range: beyond it an effect is a constant, as an error of the geometry is, and nothing gets worse there."""
+"""What was learnt has a range: beyond it a named effect is a constant, an unmodelled one is less and less known, and nothing gets worse."""
 
 from dataclasses import replace
 
@@ -63,20 +63,34 @@ def test_what_looks_like_a_scale_over_a_third_does_no_harm_over_all(third, learn
     assert "beyond that range" in tried.text
 
 
-def test_an_effect_is_a_constant_beyond_its_range_and_a_file_keeps_that(third, learnt):
+def beyond_the_edge(here, joint):
+    """Postures at the upper edge of what a joint visited, and half a radian and one radian beyond it."""
+    q = np.tile(here.q.mean(axis=0), (3, 1))
+    q[:, joint] = here.q[:, joint].max() + np.array([0, 0.5, 1.0])
+    return q
+
+
+def test_an_unmodelled_function_is_the_less_known_the_farther_it_is_from_where_it_was_learnt(third, learnt):
+    (here, _), (cell, _) = third, learnt
+    q, read = beyond_the_edge(here, 0), EffectModel.from_dict(cell.effects.to_dict())
+    np.testing.assert_array_equal(read.displacements(read.poses(q)).joint, cell.effects.displacements(read.poses(q)).joint)
+    middle, point = np.tile(here.q.mean(axis=0), (3, 1)), np.tile([0.0, 0.0, 100.0], (3, 1))
+    at_edge, near, far = np.linalg.norm(cell.distance_errors(middle, point, q, point)[1], axis=1)
+    assert 2 * at_edge < near < far
+
+
+def test_a_named_effect_is_a_constant_beyond_its_range_and_a_file_keeps_that(third):
     here, _ = third
-    model = learnt[0].effects
-    read = EffectModel.from_dict(model.to_dict())
-    inside = np.tile(here.q.mean(axis=0), (3, 1))
-    edge = here.q[:, 0].max()
-    inside[:, 0] = edge, edge + 0.5, edge + 1.0
-    for one in (model, read):
-        moved = one.displacements(one.poses(inside)).joint[:, 0]
+    gear = next(c for c in prepare(here).candidates if c.name == "gear_transmission_error" and c.where == ("A4",))
+    term = term_of(Covariates(here), gear, 1.0, np.array([1e-4, 2e-4]), np.array([1e-6, 1e-6]))
+    model = EffectModel(here.cell.robot, (term,), LearntRecording.of(here))
+    for one in (model, EffectModel.from_dict(model.to_dict())):
+        moved = one.displacements(one.poses(beyond_the_edge(here, 3))).joint[:, 3]
         assert moved[0] == pytest.approx(moved[1]) == pytest.approx(moved[2])
     assert not model.left_out_at(here)
-    far = replace(here, pose_id=here.pose_id + 1000, q=here.q + np.array([1.5, 0, 0, 0, 0, 0]))
+    far = replace(here, pose_id=here.pose_id + 1000, q=here.q + np.array([0, 0, 0, 1.5, 0, 0]))
     (beyond,) = model.left_out_at(far)
-    moved = far.q[:, 0] > edge + 0.2
+    moved = far.q[:, 3] > here.q[:, 3].max() + 0.2
     assert np.all(np.abs(beyond.parts[0].basis[moved] * beyond.sigma).sum(axis=1) > 0)  # what is not known there has a variance
 
 

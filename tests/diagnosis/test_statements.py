@@ -29,7 +29,7 @@ APART = (NotSeparable(("joint_compliance:A2", "lost_motion:A2"), 0.07, 1 / 15 / 
     [
         (diagnosed("none", SOFT), "the verdict is none beside effects"),
         (diagnosed("explained", WEAK), "explained without a finding"),
-        (diagnosed("explained", SOFT, ONCE), "explained by what halves do not both show"),
+        (diagnosed("explained", SOFT, ONCE), "explained by what parts do not show again"),
         (diagnosed("explained", SOFT, UNMODELLED), "explained beside something unmodelled"),
         (diagnosed("unexplained", SOFT), "unexplained without anything unmodelled"),
         (diagnosed("cannot_tell", SOFT, not_separable=APART), "cannot be told apart at odds 0.013"),

@@ -206,12 +206,13 @@ def search_of(setup):
     return search, blocks, NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
 
 
-def test_elastic_joints_are_better_together_than_a_general_function_of_the_load(plan):
+@pytest.mark.parametrize("covariate", ["gravity_torque", "q2"])
+def test_elastic_joints_are_better_together_than_a_general_function_of_the_load_or_of_an_angle(plan, covariate):
     def elastic(s):
         return Displacements(joint=s.gravity_torque * np.array([0, 3e-6, 4e-6, 0, 9e-6, 0]))
 
     search, blocks, point = search_of(prepare(simulated.observe(plan, 126, [elastic])))
-    general = next(m for _, m in blocks.evidence(point.projected) if m.candidate.depends_on.startswith("gravity_torque"))
+    general = next(m for _, m in blocks.evidence(point.projected) if m.candidate.depends_on.startswith(covariate))
     best = estimated((general,), point, search.log_prior((general,)))
 
     found = search.with_common_effects(best)

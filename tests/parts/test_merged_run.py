@@ -10,6 +10,7 @@ from dry_runs import PLANS, plan_file, recorded
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.parts.agreement import agreement
 from mbcacq.parts.merge import merge, merged_points
@@ -22,6 +23,7 @@ from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.spheres.cloud_file import read_cloud_file
 from mbcacq.workflow.merge_scans import merge_scans
+from mbcacq.workflow.part_scenes import scenes_as_observations
 
 DESIGN = PLANS / "parts" / "freeform.stl"
 
@@ -149,3 +151,18 @@ def test_a_design_in_metres_or_cut_off_is_refused(tmp_path):
     path.write_bytes(DESIGN.read_bytes()[:-10])
     with pytest.raises(ConfigError, match="is cut off: its head announces"):
         read_mesh(path)
+
+
+def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):
+    """Fake scanner, eight views; the arm is taken as nominal, and balls at three stations see its errors: both state their uncertainty."""
+    folder, observations, cell = run
+    alone = scenes_as_observations(folder, observations.select(observations.phase == "part"))
+    found = calibrate(alone, CalibrationOptions(kinematics=False))
+    assert alone.n_centres == 8
+    assert "that of the scanner" in found.to_dict()["scale_from"]
+    before = np.linalg.norm(observations.cell.T_flange_scanner[:3, 3] - cell.state.T_flange_scanner[:3, 3])
+    after = found.state.T_flange_scanner[:3, 3] - cell.state.T_flange_scanner[:3, 3]
+    assert np.linalg.norm(after) < before / 10
+    at = [found.names.index(f"hand_eye.{axis}") for axis in "xyz"]
+    local = cell.state.T_flange_scanner[:3, :3].T @ after
+    assert np.all(np.abs(local) < 4 * np.sqrt(np.diag(found.covariance)[at]))

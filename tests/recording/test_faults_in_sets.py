@@ -78,7 +78,7 @@ def test_a_direction_other_than_minus_one_zero_and_one_is_refused(a_set):
     path = a_set / "poses.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head + ",dir1,dir2,dir3,dir4,dir5,dir6", rows[0] + ",1,0,-1,1,1,1", rows[1] + ",1,0,-1,2,1,1"]))
-    with pytest.raises(ConfigError, match=r"poses\.csv:3: column dir4: '2' is none of -1, 0, 1"):
+    with pytest.raises(ConfigError, match=r"poses\.csv:3: column dir4: '2' is not -1, 0 or 1"):
         load_observations(a_set)
 
 

@@ -55,7 +55,7 @@ def test_a_real_robot_is_not_connected_unasked(tmp_path):
     found = lines(done)
     assert found["robot"]["level"] == "warning"
     assert "--arm" in found["robot"]["cure"]
-    assert found["network"]["text"].startswith("192.0.2.1 is no address of this computer, which has ")
+    assert found["network"]["text"].startswith("192.0.2.1 is not an address of this computer, which has ")
     assert "127.0.0.1 on lo" in found["network"]["text"]
     assert "ip addr add 192.0.2.1/24" in found["network"]["cure"]
 

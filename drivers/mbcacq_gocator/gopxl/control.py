@@ -45,7 +45,7 @@ class GoPxLControl(RequestConnection):
         return self.ask("read", path, None, args, limit_s)
 
     def read_if_there(self, path: str, **args: Any) -> dict[str, Any]:
-        """As ``read``, but {} where this firmware has no such resource."""
+        """Like ``read``, but {} if this firmware has no such resource."""
         try:
             return self.read(path, **args)
         except SensorRefused as error:

@@ -23,7 +23,7 @@ _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, right-handed, float32"),
     Field("intensity", "1", (-1,), meaning="grey value of each point"),
     Field("pixel", "1", (-1,), meaning="row * columns + column of each point"),
-    Field("time_s", "s", meaning="the sensor's system time at the exposure, 0 where it sends no stamp"),
+    Field("time_s", "s", meaning="the sensor's system time at the exposure, 0 if it sends no stamp"),
     Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
 )
 _log = logging.getLogger("mbcacq.gopxl")

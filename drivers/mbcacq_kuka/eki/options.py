@@ -48,7 +48,7 @@ class EkiOptions(KukaOptions):
     """
 
     address: str = Field(min_length=1, pattern=HOST, description="the controller's host name or IP address, such as 172.31.1.147")
-    speed_deg_s: PositiveSix = Field(description="the axes' largest speeds, °/s, where the robot file does not have them")
+    speed_deg_s: PositiveSix = Field(description="the axes' largest speeds, °/s, if the robot file does not have them")
     port: int = Field(default=54610, ge=1, le=65535, strict=True)
     acceleration_percent: int = Field(default=50, ge=1, le=100, strict=True)
     tool: int = Field(default=1, ge=0, le=128, strict=True)

@@ -176,7 +176,7 @@ class KukaRsi(ContextDevice):
 
     @property
     def digital_outputs(self) -> tuple[int, ...]:
-        """Those that may be switched."""
+        """Numbers of the outputs that may be switched."""
         return self._options.digital_outputs
 
     def state(self) -> RobotState:

@@ -94,7 +94,7 @@ class Handshake:
         return self._delays[-1] - self._delays[0] if self._delays else 0.0
 
     def give_up(self) -> None:
-        """Whoever listens goes away: a bump that is under way must not be held, so answers are zero and Stop from now on."""
+        """The listener goes away. A bump that is under way must not be held, so answers are zero and Stop from now on."""
         self.fault = self.fault or SessionFault("connect", "mbcacq ended while the session began")
 
     def take(self, data: bytes, source: Any, now: float) -> bytes | None:

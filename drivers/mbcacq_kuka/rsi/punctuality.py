@@ -26,7 +26,7 @@ class Punctuality:
 
     @property
     def due(self) -> float:
-        """When the next telegram is expected, by the controller's clock: one that came late is no reason for the next to be late."""
+        """Time at which the next telegram is expected, by the controller's clock: a late one does not delay the next."""
         return inf if self._last is None else self._last + self._cycle_s - self._behind
 
     def held_up(self, now: float) -> bool:

@@ -5,8 +5,8 @@ point (see set_points) an answered telegram, never by elapsed time, so that no d
 kept on its way (see punctuality) is answered with the set point before it. No controller takes that answer, and one that hides it in its
 Delay must not fall behind the set points.
 
-The first fault is kept. It brakes the arm, then ends the controller's session. If the arm does not follow its commands, the session is
-ended at once. If the controller may have begun a new one, nothing is answered any more. docs/explanation/corrections.md has the argument.
+The first fault is kept. It brakes the arm, then ends the controller's session. The session is ended at once if the arm does not follow its
+commands. Nothing is answered any more if the controller may have begun a new one. docs/explanation/corrections.md has the argument.
 
 The answer to the next telegram is rendered while the controller waits for nothing: ``reply`` only compares bytes with the expected ones and
 hands it out. ``digest`` does everything else after it was sent: parsing, watching, recording and planning. So a command takes effect one
@@ -109,7 +109,7 @@ class RsiSession:
 
     @property
     def due(self) -> float | None:
-        """When the next telegram is expected, on the clock of ``now``; None where no answer to it is ready."""
+        """Time at which the next telegram is expected, on the clock of ``now``; None if no answer to it is ready."""
         return None if self._ready is None else self._punctuality.due
 
     def rehearse(self, now: float) -> None:

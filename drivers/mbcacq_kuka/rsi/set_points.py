@@ -1,7 +1,7 @@
 """The set points of a session: which one the controller has, which it was sent last, and which it gets next.
 
-They advance by one an answered telegram. Where the controller held the one before, the motion goes on from there, from rest. None is sent
-before it was seen to be within the axes' limits, and no motion begins before the controller was seen to take corrections as absolute.
+They advance by one an answered telegram. The motion goes on from rest at the set point before, if the controller held that one. None is
+sent before it was seen to be within the axes' limits, and no motion begins before the controller was seen to take corrections as absolute.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ SCANNERS = {  # driver -> its options that are ports, with where the sensor list
 
 
 def free_port() -> int:
-    """A port that is free now, for UDP and TCP, and that the operating system gives to nobody who asks for just any port: so it is still
-    free when its user comes. Raises ConnectError where there is none."""
+    """A port that is free now, for UDP and TCP. The operating system does not give it to programs that ask for any free port, so it is
+    still free when it is used. Raises ConnectError where there is none."""
     draw = random.SystemRandom()
     for _ in range(_MOST_TRIES):
         port = draw.randrange(*_NOT_DRAWN)

@@ -1,7 +1,7 @@
 """Injected effects. Each effect is one small file; ``make`` builds it by the name of its file.
 
-An effect is simulated in another way than it is identified: by equilibria, states and models in time, not by regressors.
-Those in UNCATALOGUED are in no catalogue of the tool.
+An effect is simulated in another way than it is identified: by equilibria, states and models in time, not by regressors. No catalogue of
+the tool has the effects in UNCATALOGUED.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ def accepted_places(accept: Acceptance) -> np.ndarray:
 
 
 def errors_at(places: np.ndarray, linear: LinearProblem) -> np.ndarray:
-    """(r, g): what the parameters of the geometry, in units of their prior sigma, displace of points (mm) seen at these places (m, 3).
+    """(r, g): displacements (mm) of points seen at these places (m, 3), by each parameter of the geometry in units of its prior sigma.
 
     Each place stands for the point seen by the linearised pose that sees one nearest to it, within reach of a view. A motion of all places
     as one rigid body is left out where there are three of them or more: it is where the base is, and no length shows it.

@@ -1,9 +1,9 @@
 """What is open after a look at the evidence: sets of effects that are not told apart, effects that could still hide, accuracy asked for.
 
-If one set of effects is true, its log odds against another are expected to grow by half of D. D is the squared length of the difference of
-their predictions for poses to come, beyond everything that geometry and the other set can still do about it. If there is in truth no
-effect, that is what a set owes to chance: it does not come again. An effect of usual size shows by the information I, the squared length of
-its displacement beyond the geometry: a decision takes 20 to 30 of either.
+The log odds of a true set of effects against another one are expected to grow by half of D. D is the squared length of the difference of
+their predictions for poses to come, beyond everything that geometry and the other set can still do about it. Without any effect this is
+what a set owes to chance: it does not come again. An effect of usual size shows by the information I, the squared length of its
+displacement beyond the geometry: a decision takes 20 to 30 of either.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class SetComparison:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
-    """sets: of effects, which are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
-    that could hide, by weights and names (K - pairs,). aim: log odds between sets that are to be expected.
+    """sets: sets of effects that are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
+    that could hide, by weights and names (K - pairs,). aim: log odds between sets to be expected after the measurement.
     """
 
     sets: tuple[Hypothesis, ...]
@@ -119,8 +119,8 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
 
 def surviving(look: InterimEvidence) -> list[Hypothesis]:
     """The sets that the evidence leaves, the reported one first; without any other those that are neither part nor extension of it and
-    against which a decision has little to spare. If an effect is shown neither to be there nor to be absent: the empty set and the most
-    probable ones, the most probable of all first. The identity of the effect, if it is there, is asked at once.
+    against which a decision has little to spare. The empty set and the most probable ones, most probable first, if an effect is shown
+    neither to be there nor to be absent. The identity of the effect, if it is there, is asked at once.
     """
     fit = look.full.evidence
     if fit.significant:

@@ -118,8 +118,8 @@ class VisitChoice:
 
     @property
     def futile(self) -> bool:
-        """Whether there are sets of which none is excluded, and nothing reachable tells them apart. That there is an effect takes more than
-        the odds of a decision, so the empty set is not excluded while it is among them.
+        """Whether there are sets of which none is excluded, and nothing reachable tells them apart. An effect needs more than the odds of a
+        decision, so the empty set is not excluded while it is among them.
         """
         undecided = [pair for pair in self.open_pairs if not (pair.a and pair.b) or abs(np.log(pair.odds)) < self._options.enough]
         return bool(undecided) and all(pair.futile for pair in undecided)

@@ -1,8 +1,8 @@
 """What is stated of an effect, over all sets of effects that the evidence does not exclude.
 
-The standard deviation of a parameter in one set holds if that set is the right one. Where another set with the effect in it is not
-excluded, the parameter is what all of these state, each as probable as its set (Bayesian model averaging): its variance is the mean of
-theirs and the variance between them. Where a further effect moves it beyond its uncertainty, the two descriptions cannot be told apart.
+The standard deviation of a parameter in one set holds if that set is the right one. If other sets with the effect are not excluded, the
+parameter is averaged over all of them with the probabilities of the sets (Bayesian model averaging). Its variance is the mean of theirs
+plus the variance between them. Two descriptions cannot be told apart if a further effect moves the parameter beyond its uncertainty.
 """
 
 from __future__ import annotations
@@ -90,14 +90,17 @@ class BetweenSets:
         return sorted(found, key=lambda one: -one[0].log_posterior)
 
 
-def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Hypothesis, frozenset[str]]]:
+def alternatives_to(fit: EvidenceFit, reported: Hypothesis, everywhere: bool = False) -> list[tuple[Hypothesis, frozenset[str]]]:
     """Sets that the evidence does not exclude in favour of the reported one: others, and those with a further effect beside which reported
     ones (``name:where``) are others.
 
     One that has an unmodelled effect in place of a catalogued one at the same location, with the same displacement, is no other set: it
-    describes the same effect in a more general form.
+    describes the same effect in a more general form. everywhere: whether unmodelled effects stand at all locations; sets that differ by
+    such effects alone are no others then.
     """
     others = [(other, frozenset[str]()) for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+    if everywhere:
+        others = [one for one in others if any(not label.startswith(UNKNOWN) for label in reported.labels ^ one[0].labels)]
     return [*others, *(BetweenSets.of(fit).changing() if fit.significant else [])]
 
 
@@ -117,12 +120,14 @@ def better_in_general(fit: EvidenceFit, reported: Hypothesis) -> dict[str, float
     return out
 
 
-def pairs_not_separable(fit: EvidenceFit) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
-    """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect."""
+def pairs_not_separable(fit: EvidenceFit, everywhere: bool = False) -> list[tuple[NotSeparable, EffectSet, EffectSet]]:
+    """Effects that cannot be told apart from those of the reported set, with the coefficients of both sides; none without an effect.
+    everywhere: as ``alternatives_to``.
+    """
     if not fit.significant:
         return []
     reported, out = reported_hypothesis(fit), []
-    for other, changed in alternatives_to(fit, reported):
+    for other, changed in alternatives_to(fit, reported, everywhere):
         ours, theirs = differing(reported, other, changed)
         out.append((not_separable(reported, other, likeness(reported, ours, theirs), changed), ours, theirs))
     return out
@@ -188,7 +193,7 @@ def by_effect(solved: EffectSet) -> ByEffect:
 
 
 def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Sequence[WeightedSet]) -> dict[str, ParameterEstimate]:
-    """Those of ``parameters`` that other sets state of the effect ``label`` as well, averaged over all of these.
+    """The parameters of the effect ``label`` that other sets state too, averaged over all these sets.
 
     parameters: as reported, which may be more uncertain than the coefficients ``reported`` of that set alone say. So the sets move them,
     and add to their variance, by what they differ from these.

@@ -28,7 +28,7 @@ def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> 
 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
-    """Those whose hyper-parameter has few values, all in one product."""
+    """Scores of the candidates whose hyper-parameter has few values, all in one product."""
     batch = projected.batch(candidates)
     logs = np.zeros(len(batch.fixed.entries))
     absorbed = (projected.conditioned.T @ batch.X).T

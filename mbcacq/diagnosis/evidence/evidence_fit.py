@@ -102,8 +102,8 @@ def compared(
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:
-    """(M,) bool of the centres with which a search begins. Those that were rejected before anything was known may be an effect themselves:
-    they take part where one effect alone makes all centres more probable than they are as outliers of no effect.
+    """(M,) bool of the centres with which a search begins. Centres rejected before anything was known may show an effect. They take part if
+    one effect alone makes all centres more probable than they are as outliers without an effect.
     """
     start = NoisePoint(problem.linear, problem.prior_noise, pack(problem.noise))
     plain = problem.linear.keep

@@ -50,8 +50,8 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
 
 
 def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
-    """The candidate of something that fades with time. Where the recording is short against its time constant, only the rate at the
-    beginning is determined: then the size goes with the time constant, and both are as uncertain as all that are possible differ.
+    """The candidate of something that fades with time. A recording that is short against the time constant determines only the rate at the
+    beginning. The size then goes with the time constant, and the uncertainty of both covers all that are possible.
     """
     candidate, found = member.candidate, member.hyper
     assert candidate.hyper is not None, "only asked of effects with a time constant"

@@ -38,7 +38,7 @@ class PoseSearch(EvidenceSearch):
 
     given: effects that are in the problem from the beginning. staged: one set is followed, and first the effects that every arm has
     (elastic joints), so that what they explain is not given to slow periodic errors, then the rest of the catalogue, and none unmodelled.
-    Those at different locations that do not take from each other enter together.
+    Effects at different locations that do not take from each other enter together.
     """
 
     candidates: list[Candidate]
@@ -65,7 +65,7 @@ class PoseSearch(EvidenceSearch):
         single steps do not lead there.
         """
         common = [c for c in self.candidates if catalogue.declaration(c.name).every_arm]
-        if not {c.depends_on for c in common} & {m.candidate.depends_on for m in best.unmodelled}:
+        if not best.unmodelled:
             return best
         present = [m.candidate for m in best.members]
         further = [evidence_of_one(best.conditioned, c)[1] for c in common if self.allowed(c, present)]

@@ -47,7 +47,7 @@ from mbcacq.model.json_text import EveryKey, fields_as_json, from_document
 VERDICT_OF_BOTH = {
     "none": "no effect.",
     "explained": "effects explain what both show.",
-    "partly_explained": "effects explain a part of what both show; structure remains.",
+    "partly_explained": "named effects explain a part of what both show; the rest is unmodelled.",
     "unexplained": "there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "these data do not decide between the possible causes.",
 }
@@ -128,7 +128,7 @@ class PosesAndMotion:
     def agreement(self) -> list[ParameterAgreement]:
         """Every parameter that both found.
 
-        Where the poses were searched with what the motion states, the values over all joint sets that are not excluded are compared.
+        If the poses were searched with the motion's values, the values over all joint sets that are not excluded are compared.
         """
         out = []
         for effect in self.beside_motion:

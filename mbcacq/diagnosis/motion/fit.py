@@ -259,8 +259,8 @@ def _delayed(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:
 def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
     """The runs with the torque that passes the gears, joint by joint, and its error.
 
-    Where the torque is explained, that of the arm as it was found, without what acts on the motor side; else the drive's torque, less
-    its friction, which is wrong by a share of itself.
+    Torque of the arm as found, without what acts on the motor side, if the torque is explained; otherwise the drive's torque less its
+    friction, which is wrong by a share of itself.
     """
     explained = torque.train_after < NUMBERS.explained_chi2_dof * torque.floor**2
     lost = [e for e in torque.effects if catalogue.declaration(e.candidate.name).motor_side]

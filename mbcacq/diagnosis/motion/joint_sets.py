@@ -73,7 +73,7 @@ class JointEvidence:
 def joint_evidence(evidences: Sequence[EvidenceSummary], given: Collection[str] = ()) -> JointEvidence:
     """All consistent joint sets; none if the evidences share no consistent one.
 
-    evidences: with parameters in the words of the poses. given: effects of which one evidence has taken what others state as its prior.
+    evidences: with parameters in the words of the poses. given: effects whose prior in one evidence is the value that the others state.
     """
     each = [[by_label(one) for one in evidence.sets] for evidence in evidences]
     known = [frozenset(label for one in sets for label in one) for sets in each]
@@ -195,7 +195,7 @@ def name_of(key: str) -> str:
 
 
 def paired(own: Parameters, other: Parameters) -> Iterator[tuple[str, ParameterEstimate, ParameterEstimate]]:
-    """The parameters that both have, if all are finite. Those of one order of a periodic effect with several belong together."""
+    """The parameters that both have, if all are finite. Parameters of one order belong together if a periodic effect has several orders."""
     for key in own:
         location = key.rpartition(".")[0]
         orders = f"{location}.order" if location else "order"
@@ -289,8 +289,8 @@ class DecidedPair:
 
 
 def named_side(pair: NotSeparable, labels: Collection[str]) -> list[str]:
-    """The sides of a pair whose effects are all among these labels. Where one side has the effects of the other and more, that is the only
-    one that can be named: without the further ones the other is not confirmed.
+    """The sides of a pair whose effects are all among these labels. Only the larger set can be named if one side has the effects of the
+    other and more: without the further ones the other is not confirmed.
     """
     parts = [set(side.split(TOGETHER)) for side in pair.effects]
     larger = [side for side, own, other in zip(pair.effects, parts, parts[::-1], strict=True) if own > other]

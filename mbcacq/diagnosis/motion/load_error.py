@@ -7,8 +7,8 @@ variables, to first order). Without them their structure would pass for an effec
 
 The load itself has competing explanations: the masses of the links, a balancer, a load on the flange. The masses are described to 10 % and
 free within that, so over a small range of angles they stand for a balancer or for another load, and these for them, although they differ
-beyond it. Where the second axis moved over a small part of its range and the masses did not fit their description, the selected
-explanation is compared with the others by evidence. Their coefficients have a few sizes, and all else is fitted with them.
+beyond it. The selected explanation is compared with the others by evidence if the second axis moved over a small part of its range and the
+masses did not fit their description. Their coefficients have a few sizes, and all else is fitted with them.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ class MotionDiagnosis(Findings, EveryKey):
 
     @property
     def remarks(self) -> list[str]:
-        """The suspicions as sentences without a full stop. That time ran out is said beside them, and is none."""
+        """The suspicions as sentences without a full stop. The sentence that time ran out is added to them; it is no suspicion."""
         return [capitalised(s) if s == OUT_OF_TIME else f"The description of the data looks wrong: {s}" for s in self.suspicions]
 
     @property

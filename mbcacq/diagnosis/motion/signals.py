@@ -1,6 +1,6 @@
 """Recorded trajectories at equidistant times, with rates and the torque of the rigid-body simulation.
 
-Where no torque was recorded, motor currents stand for it: the torque constant is estimated from the arm's own weight and inertia.
+Motor currents stand for a torque that was not recorded: the torque constant is estimated from the arm's own weight and inertia.
 """
 
 from __future__ import annotations

@@ -143,8 +143,8 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     ranked = sorted(size, key=lambda key: -size[key].value)
     if full.everywhere:
         first = full.cells[0]
-        repeated = [key for key in ranked if (label := group_label(*key)) not in again or again[label].repeats]
-        stated = [key for key in repeated if size[key].value > K * size[key].std] or ranked[:1]
+        spread = {key: again[label].size_spread * size[key].value for key in ranked if (label := group_label(*key)) in again}
+        stated = [key for key in ranked if size[key].value > K * max(size[key].std, spread.get(key, 0.0))] or ranked[:1]
         parameters, p_value = _rms_parameters(size, stated[:MOST_GROUPS]), _bayes_p(first.log_bayes_factor)
         effect = EffectFound(
             name=UNKNOWN,

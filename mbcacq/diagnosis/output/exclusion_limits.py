@@ -55,7 +55,7 @@ def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found:
 def limits_of_candidate(
     problem: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[Member]
 ) -> list[BandLimit]:
-    """Those of one of the candidates, of which there are few."""
+    """Limits of one candidate. few: the candidates that may confound it."""
     there = {m.candidate.location for m in found}
     orders = [m.hyper for m in found if m.candidate.location == candidate.location and m.hyper is not None]
     if candidate.location in there and not (candidate.periodic and candidate.several):
@@ -151,7 +151,7 @@ class BandScan:
 
 
 def limits_of_bands(problem: CandidateScoring, candidate: Candidate, own: Sequence[LimitBand]) -> list[BandLimit]:
-    """Those of a candidate over its bands, with free what the problem is conditioned on."""
+    """Limits of a candidate over its bands; everything that the problem is conditioned on is free."""
     if not own:
         return []
     scan = BandScan(problem, candidate, own)

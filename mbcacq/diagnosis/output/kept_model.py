@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.output.over_whole_range import over_whole_range
 from mbcacq.diagnosis.search.bayes_factor import prior_sigma
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -41,8 +42,8 @@ def predicting_better(kept: EffectModel, full: ModelFit, validation: CrossValida
     no place in a calibration.
 
     An effect that was not found again without any part says nothing there: then it is judged with its coefficients fitted without the part.
-    What happens at one station alone is not known where whole stations are left out, and stays. Where two describe one thing, held-out data
-    are predicted as well without either: they stay where nothing else is left and both together predict better.
+    What happens at one station alone is not known where whole stations are left out, and stays. Two effects may describe one thing, and
+    held-out data are then predicted as well without either. They stay if nothing else is left and both together predict better.
     """
     whole = validation.parametric or validation.after
     of_stations = validation.split == "station"
@@ -101,7 +102,7 @@ def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTer
     for m, own in zip(hypothesis.members, found.slices(), strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
-            out.append(replace(term, sigma=m.size * m.candidate.typical))
+            out += over_whole_range(here, replace(term, sigma=m.size * m.candidate.typical))
     return out
 
 

@@ -88,7 +88,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         *other_covariates(full.evidence, reported),
         *(
             f"a general function at {at} predicts better than the names there ({odds_in_words(float(np.exp(min(log, MOST_LOG_ODDS))))}): "
-            "they are no more than near to what happens"
+            "they only come near to what happens"
             for at, log in better_in_general(full.evidence, reported).items()
         ),
         *partial_periods(setup, full),

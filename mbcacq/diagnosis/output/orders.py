@@ -18,7 +18,7 @@ from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import coefficients_of
 from mbcacq.diagnosis.search.effect_columns import candidate_parts, covariates
-from mbcacq.diagnosis.validation.found_again import jackknife
+from mbcacq.diagnosis.validation.found_again import jackknife, relative_spread
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 from mbcacq.quantities import K, in_degrees
@@ -30,6 +30,7 @@ ALIASES = 2.0  # orders, or one resolution, within which what parts have is the 
 LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of which a joint has one component for each line
 RMS = "rms_deg"  # over the poses, of the error of a joint by its own angle: its fast lines, and what they leave
 SLOW = UNMODELLED.slow_order  # orders below trade with geometry and gravity, and are no part of that
+PARTS_OF_TRAVEL = 4  # with equally many poses, between which the error of a joint is compared
 CROWDED = 2.0  # resolutions, within which two lines of a joint trade with each other where the error is no sum of sines
 
 
@@ -73,10 +74,11 @@ def with_orders(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFo
     return out
 
 
-def own_errors(full: ModelFit) -> dict[str, float]:
+def own_errors(full: ModelFit) -> dict[str, ParameterEstimate]:
     """Joint with a periodic error -> rms over the poses, deg, of all that it turns by as a fast function of its own angle: the lines, and
-    what is unmodelled beside them. How much of it is in single lines differs between recordings more than the whole does. There is none
-    for a recording of few poses, where something unmodelled does not stand at all joints.
+    what is unmodelled beside them, with the standard deviation that it has for the angles at which it was seen. How much of it is in
+    single lines differs between recordings more than the whole does. There is none for a recording of few poses, where something
+    unmodelled does not stand at all joints.
     """
     if not full.everywhere:
         return {}
@@ -95,7 +97,16 @@ def own_errors(full: ModelFit) -> dict[str, float]:
         for part in parts:
             if part.place == "joint" and (at, on) in joints:
                 out[at, on] = out.get((at, on), np.zeros(len(part.basis))) + part.basis @ coefficients
-    return {at: float(in_degrees(fast_part(covariates(linear).value(on), f).std())) for (at, on), f in out.items()}
+    return {at: rms_over_angles(angle := covariates(linear).value(on), in_degrees(fast_part(angle, f))) for (at, on), f in out.items()}
+
+
+def rms_over_angles(angle: np.ndarray, error: np.ndarray) -> ParameterEstimate:
+    """Rms of an error (P,) at angles (P,), and its standard deviation by what parts of these angles differ by (delete-a-group jackknife):
+    a recording over other angles gives another one.
+    """
+    parts = np.array([np.mean(np.square(some)) for some in np.array_split(error[np.argsort(angle)], PARTS_OF_TRAVEL)])
+    each = np.sqrt((parts.sum() - parts) / (len(parts) - 1))
+    return ParameterEstimate(float(np.sqrt(np.mean(np.square(error)))), float(jackknife(each[:, None])[0]))
 
 
 def fast_part(angle: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -118,7 +129,7 @@ def pooled_spread(effects: Sequence[EffectFound], resolution: Mapping[str, float
             _, lines = seen_in_parts(own, one.values.get(name, ()), resolution[one.at])
             orders += [line[0].sigma / resolution[one.at] for line in lines if line[0].sigma > 0]
             each = rms_in_parts(one, f"{one.at}.amplitude_deg")
-            sizes += [float(jackknife(each[:, None])[0] / each.mean())] if len(each) > 1 else []
+            sizes += [relative_spread(each)] if len(each) > 1 else []
     return HalfDifference(*(float(np.sqrt(np.mean(np.square(some)))) if some else 0.0 for some in (orders, sizes)))
 
 
@@ -130,7 +141,7 @@ def stated_orders(
     resolution: float,
     spread: HalfDifference = NO_DIFFERENCE,
     middle: float = 0.0,
-    whole: float | None = None,
+    whole: ParameterEstimate | None = None,
 ) -> EffectFound:
     """The effect with the orders of one joint.
 
@@ -161,7 +172,8 @@ def stated_orders(
     known = [count >= least and is_determined(line) for count, line in zip(in_parts, lines, strict=True)]
     if parts is not None:
         apart = np.abs(orders[:, None] - orders) + np.diag(np.full(len(orders), np.inf))
-        known = [sure and bool(nearest > CROWDED * resolution) for sure, nearest in zip(known, apart.min(axis=1), strict=True)]
+        alone = (apart.min(axis=1) > CROWDED * resolution) & (orders >= resolution)  # a period and more was seen
+        known = [sure and bool(one) for sure, one in zip(known, alone, strict=True)]
     listed = [
         PossibleOrder(at, number, peak.order, peak.sigma, peak.odds, determined)
         for number, (line, determined) in enumerate(zip(lines, known, strict=True), 1)
@@ -214,10 +226,11 @@ def of_lines(
     single: Sequence[bool],
     parts: FoundAgain | None,
     spread: HalfDifference = NO_DIFFERENCE,
-    whole: float | None = None,
+    whole: ParameterEstimate | None = None,
 ) -> dict[str, ParameterEstimate]:
-    """The parameters with those lines of a joint alone that have a single order; where others are left out, the rms of all together, which
-    is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase is less certain for it.
+    """The parameters with those lines of a joint alone that have a single order; where others are left out, or lines are not all of the
+    error, the rms of all together, which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase
+    is less certain for it.
     """
     columns = {name: np.array(parameters[f"{at}.{name}"].components) for name in LINE if f"{at}.{name}" in parameters}
     chosen = np.flatnonzero(single)
@@ -238,7 +251,7 @@ def of_lines(
             out[key] = ParameterEstimate(float(values[chosen[0]]), float(stds[chosen[0]]))
         elif len(chosen):
             out[key] = ParameterEstimate(tuple(values[chosen].tolist()), tuple(stds[chosen].tolist()))
-    if not all(single) and "amplitude_deg" in columns:
+    if not (all(single) and whole is None) and "amplitude_deg" in columns:
         values, stds = columns["amplitude_deg"]
         out[f"{at}.{RMS}"] = rms_of_lines(values, stds, rms_in_parts(parts, f"{at}.amplitude_deg"), spread, whole)
     return out
@@ -250,7 +263,7 @@ def rms_in_parts(parts: FoundAgain | None, name: str) -> np.ndarray:
 
 
 def rms_of_lines(
-    values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference, whole: float | None = None
+    values: np.ndarray, stds: np.ndarray, each: np.ndarray, spread: HalfDifference, whole: ParameterEstimate | None = None
 ) -> ParameterEstimate:
     """Rms of the error of a joint by its own angle, deg: ``whole``, or that of its lines by their amplitudes (k,). It is no surer, relative
     to its size, than the lines are and than disjoint parts differ by. each: (n,) of the lines of the parts.
@@ -259,5 +272,7 @@ def rms_of_lines(
     relative = max(float(np.sqrt(np.sum((values * stds) ** 2)) / (2 * max(rms, 1e-300) ** 2)), spread.size)
     if len(each) > 1:
         relative = max(relative, float(jackknife(each[:, None])[0]) / max(rms, 1e-300))
-    size = rms if whole is None else whole
-    return ParameterEstimate(size, relative * size)
+    if whole is None:
+        return ParameterEstimate(rms, relative * rms)
+    (size,), (of_angles,) = whole.components
+    return ParameterEstimate(size, float(np.hypot(relative * size, of_angles)))

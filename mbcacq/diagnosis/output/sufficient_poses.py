@@ -1,8 +1,8 @@
 """Whether a recording could have shown the effects of the catalogue at their typical sizes, and how many poses like its own could.
 
-That nothing was found means something only where something could have been. Each effect is taken by itself here, with the found effects and
-the geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though
-perhaps with alternatives that cannot be told apart. ``exclusion_limits`` computes the reported limits.
+Finding nothing means something only if something could have been found. Each effect is taken by itself here, with the found effects and the
+geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though perhaps
+with alternatives that cannot be told apart. ``exclusion_limits`` computes the reported limits.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def sufficient_poses(limited: Sequence[Member], poses: int) -> float:
 
 
 def weights(limited: Sequence[Member]) -> np.ndarray:
-    """(E,) of each effect, of sum one: every kind counts alike, every location of a kind too, as in their prior probability."""
+    """(E,) weights of the effects, with sum one. All kinds have equal weight, and so do all locations of a kind, as in the prior
+    probability."""
     locations = Counter(e.candidate.name for e in limited)
     return np.array([1.0 / (len(locations) * locations[e.candidate.name]) for e in limited])
 

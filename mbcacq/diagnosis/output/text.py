@@ -35,13 +35,14 @@ from mbcacq.quantities import (
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
     "explained": "Explained: the effects below bring the simulation {distance}.",
-    "partly_explained": "Partly explained: the effects below help, but structure remains.",
+    "partly_explained": "Partly explained: named effects explain a part of the mismatch; the rest is unmodelled.",
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these {data} do not separate the candidates, or do not show them.",
 }
 NOT_TOLD_APART = "Cannot tell: these {data} do not separate the possible causes of the mismatch."
 LATE = "Cannot tell: time ran out before all explanations were compared."
 OPEN = "Cannot tell: these {data} leave open whether there is an effect."
+NO_FIGURE = "Cannot tell: not all of what would explain the mismatch has a reliable figure in these {data}."
 TREND_ALONE = "A trend alone: the evidence shows an effect, and it is too weak for a figure."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
@@ -81,6 +82,8 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
         sentence = OPEN
     elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
         sentence = TREND_ALONE
+    elif d.verdict == "cannot_tell" and any(e.trend for e in d.effects):
+        sentence = NO_FIGURE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 
 
@@ -180,7 +183,7 @@ def how_sure(d: Diagnosis) -> str:
     if d.not_separable:
         pair = max(d.not_separable, key=lambda one: one.odds or 0.0)
         return f"{pair_in_words(pair)} cannot be told apart ({odds_of(pair)})"
-    first = d.effects[0]
+    first = next((e for e in d.effects if not e.trend), d.effects[0])
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
     if strongest is None:

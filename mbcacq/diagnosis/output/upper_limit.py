@@ -11,8 +11,8 @@ A limit that noise has made smaller than 84 % of recordings without any effect w
 limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). Nothing is then excluded that the recording could not show.
 
 The information of a recording differs a hundredfold between the orders of a gear, and between moments within a station and those at which
-the station changes. A limit holds for a band of values: one for all would say nothing of most, and one for a value in the middle is false
-for the others.
+the station changes. A limit holds for a band of values. One limit for all values would be useless for most of them, and the limit of a
+middle value is false for the others.
 """
 
 from __future__ import annotations

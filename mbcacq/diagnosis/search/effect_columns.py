@@ -71,9 +71,9 @@ class PoseFunctions:
 class AngleNodes:
     """An angle x (P,) at which orders (H,), in ascending order, are summed over poses.
 
-    Where there are many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it, and
-    the sums are taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). The sum of
-    each order is divided by the spectrum of the window.
+    With many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it, and the sums are
+    taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). The sum of each order is
+    divided by the spectrum of the window.
     """
 
     def __init__(self, x: np.ndarray, orders: np.ndarray):

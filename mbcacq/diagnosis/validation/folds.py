@@ -148,8 +148,8 @@ def evaluated_fold(
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. If there is one station, or if that
-    leaves nothing of one of several recordings, each recording is cut into blocks of its order of measurement.
+    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. Each recording is cut into blocks of its
+    order of measurement if there is one station, or if nothing would be left of one of several recordings.
     """
     obs = linear.obs
     stations = np.unique(obs.station)

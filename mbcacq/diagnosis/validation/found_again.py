@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
+from string import digits
 
 import numpy as np
 
-from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain
-from mbcacq.diagnosis.evidence.between_sets import BY, by_effect, difference, like, orders_matched
+from mbcacq.diagnosis.effect_found import NOT_SIZES, EffectFound, FoundAgain
+from mbcacq.diagnosis.evidence.between_sets import BY, ORDERS, alike, by_effect, difference, like, orders_matched
 from mbcacq.diagnosis.model_fit import ModelFit, PartModel
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
@@ -37,9 +38,11 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         found_in = sum(shows(part, at, own) for part in parts)
         spread = size_spread(full.random, parts) if again.of_halves else 0.0
         out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
-    for key in dict.fromkeys((group.location, group.depends_on) for group in full.random):
-        found_in = sum(any((group.location, group.depends_on) == key for group in part.random) for part in parts)
-        out[group_label(*key)] = FoundAgain(key[0], found_in, len(parts), again.of_halves)
+    keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
+    ratios = {key: relative_sizes(full.random, parts, key) for key in keys}
+    spread = spread_of_kinds(ratios) if again.of_halves else dict.fromkeys(keys, 0.0)
+    for key, sizes in ratios.items():
+        out[group_label(*key)] = FoundAgain(key[0], int(np.sum(sizes > 0)), len(parts), again.of_halves, size_spread=spread[key])
     return out
 
 
@@ -48,14 +51,37 @@ def group_label(at: str, depends_on: str) -> str:
     return label_of(UNKNOWN, (f"{at}({depends_on})",))
 
 
+def relative_sizes(whole: Sequence[RandomEffect], parts: Sequence[PartModel], key: tuple[str, str]) -> np.ndarray:
+    """(n,) size of the group of a location and covariate in each part, relative to that in the whole; 0 where a part has none."""
+
+    def size(groups: Sequence[RandomEffect]) -> float:
+        return max((float(g.sigma.max()) for g in groups if (g.location, g.depends_on) == key), default=0.0)
+
+    return np.array([size(part.random) for part in parts]) / size(whole)
+
+
 def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> float:
     """Relative standard deviation of the sizes of random effects, as parts differ by, pooled over those that all parts have."""
-    own = {(g.location, g.depends_on): g.sigma for g in whole}
-    each = [{(g.location, g.depends_on): g.sigma for g in part.random} for part in parts]
-    both = [key for key in own if all(key in sizes and np.shape(sizes[key]) == np.shape(own[key]) for sizes in each)]
-    ratios = np.array([[float(np.median(sizes[key] / own[key])) for key in both] for sizes in each])
+    each = (relative_sizes(whole, parts, key) for key in dict.fromkeys((g.location, g.depends_on) for g in whole))
     # By the median: sizes of what is hardly there differ by far more than those that are reported.
-    return float(np.median(jackknife(ratios) / ratios.mean(axis=0)) / MEDIAN_OF_NORMAL) if both else 0.0
+    spreads = [relative_spread(sizes) for sizes in each if np.all(sizes > 0)]
+    return float(np.median(spreads)) / MEDIAN_OF_NORMAL if spreads else 0.0
+
+
+def relative_spread(sizes: np.ndarray) -> float:
+    """Standard deviation of a size, relative to it, by those (n,) of disjoint parts."""
+    return float(jackknife(sizes[:, None])[0] / max(sizes.mean(), 1e-300))
+
+
+def spread_of_kinds(sizes: Mapping[tuple[str, str], np.ndarray]) -> dict[tuple[str, str], float]:
+    """The relative spread of each size, pooled over the groups of its kind (links by the angle before them, say): what halves put now to
+    one link and now to the next is at none of them for certain.
+    """
+    kinds: dict[tuple[str, str], list[float]] = {}
+    kind = {key: (key[0].rstrip(digits), key[1].rstrip(digits)) for key in sizes}
+    for key, each in sizes.items():
+        kinds.setdefault(kind[key], []).append(relative_spread(each))
+    return {key: float(np.sqrt(np.mean(np.square(kinds[kind[key]])))) for key in sizes}
 
 
 def shows(part: PartModel, at: str, reported: Container[str]) -> bool:
@@ -83,7 +109,7 @@ def with_spread_between_parts(effects: Sequence[EffectFound]) -> list[EffectFoun
 
 
 def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
-    out = dict(effect.parameters)
+    out, spreads = dict(effect.parameters), dict[str, np.ndarray]()
     for one in effect.found_again:
         if one.size_spread:
             for name, stated in effect.parameters.items():
@@ -95,12 +121,26 @@ def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
             continue
         parts = [orders_matched({name: one.values[name][k] for name in here}, here) for k in range(count)]
         for name, stated in here.items():
-            values, stds = (np.array(x) for x in stated.components)
-            if all(np.shape(part[name].components) == np.shape(stated.components) for part in parts):
-                away = np.array([difference(name, part[name], stated) for part in parts])
-                spread = jackknife(away)
-                out[name] = like(stated, values, np.where(np.isfinite(spread), np.maximum(stds, spread), stds))
+            if all(alike(part[name], stated) for part in parts):
+                spreads[name] = jackknife(np.array([difference(name, part[name], stated) for part in parts]))
+    pooled = pooled_ratio(out, spreads)
+    for name, spread in spreads.items():
+        values, stds = (np.array(x) for x in out[name].components)
+        wider = stds if name.rpartition(".")[2] in NOT_SIZES else pooled * stds
+        out[name] = like(out[name], values, np.where(np.isfinite(spread), np.maximum(wider, spread), stds))
     return out
+
+
+def pooled_ratio(stated: Parameters, spreads: Mapping[str, np.ndarray]) -> float:
+    """Root mean square, over all sizes of an effect, of what halves differ by relative to what is stated, no less than 1: two values alone
+    may agree by chance. Lines of a joint are pooled by ``output.orders``.
+    """
+    if any(name.endswith(ORDERS) for name in spreads):
+        return 1.0
+    ratios = [spread / np.array(stated[name].components[1]) for name, spread in spreads.items() if name.rpartition(".")[2] not in NOT_SIZES]
+    each = np.concatenate([[], *ratios])
+    known = each[np.isfinite(each)]
+    return max(1.0, float(np.sqrt(np.mean(np.square(known))))) if len(known) else 1.0
 
 
 def jackknife(values: np.ndarray) -> np.ndarray:

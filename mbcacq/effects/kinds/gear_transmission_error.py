@@ -1,7 +1,7 @@
 """Periodic error of a joint in its own angle; the orders are found by a spectral scan, not assumed.
 
-That an error is periodic is only claimed where the travel covers a period, or half of one where the order is one that the gear has by its
-construction. Slower errors are unmodelled functions of the angle, which hold where the angle was.
+An error is called periodic only if the travel covers a period, or half of one for an order that the gear has by its construction. Slower
+errors are unmodelled functions of the angle, which hold where the angle was.
 """
 
 import numpy as np

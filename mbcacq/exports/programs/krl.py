@@ -36,7 +36,7 @@ class _KrlStatements(Statements):
         uses = self.uses[variable]
         if self.by_name and not uses.otherwise:
             uses.absolute.append(0)
-            return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "is a target of no known program, by its name")
+            return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "no known program has a target of this name")
         return uses.reason(variable)
 
     def _line(self, number: int, at: int, code: str) -> None:

@@ -106,7 +106,7 @@ class Uses:
         if self.absolute and self.otherwise:
             return f"is a target, and is used otherwise too (line {self.otherwise[0]})"
         if self.otherwise:
-            return f"is no target of a motion, but used otherwise (line {self.otherwise[0]})"
+            return f"is not the target of a motion, but used otherwise (line {self.otherwise[0]})"
         return "" if self.absolute else "is the target of no motion in this program"
 
 

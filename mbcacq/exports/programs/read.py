@@ -76,5 +76,5 @@ def _text(path: Path) -> tuple[str, Callable[[str], bytes]]:
     try:
         text = data[len(mark) :].decode(encoding)
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: begins as UTF-16 and is none; save it as text") from None
+        raise ConfigError(f"{path}: begins like UTF-16 but is not; save it as text") from None
     return text, lambda changed: mark + changed.encode(encoding)

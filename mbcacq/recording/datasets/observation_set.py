@@ -188,7 +188,7 @@ def _direction(table: Table, name: str) -> np.ndarray:
     values = table.integer(name)
     if (np.abs(values) > 1).any():
         row = int(np.argmax(np.abs(values) > 1))
-        raise ConfigError(f"{table.where(row, name)}: '{table.text(name)[row]}' is none of -1, 0, 1; correct it")
+        raise ConfigError(f"{table.where(row, name)}: '{table.text(name)[row]}' is not -1, 0 or 1; correct it")
     return values
 
 

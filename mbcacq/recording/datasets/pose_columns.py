@@ -367,7 +367,8 @@ def _of_matrix(thing: str, parts: dict[str, Heading]) -> PoseHeadings | None:
 
 
 def role(group: PoseHeadings) -> str:
-    """'flange', 'target' or '' by the words of the thing; of two, the one named last is what the pose is of (base2gripper, T_cam_board)."""
+    """'flange' or 'target' by the words in a column's name, '' if it has none. If it names both, the last one counts (base2gripper,
+    T_cam_board)."""
     words = re.split(r"_to_|[_2]", group.thing)
     known = [("flange" if w in FLANGE_WORDS else "target") for w in words if w in FLANGE_WORDS or w in TARGET_WORDS]
     return known[-1] if known else ""

@@ -19,7 +19,7 @@ NOT_OURS = "holds no recording of mbcacq"  # in the sentence about a file that c
 
 
 class LibraryReader:
-    """One .rrd file. Where its footer is missing, it is read from end to end.
+    """One .rrd file. A file without its footer is read from end to end.
 
     The library ends the whole process at some damaged files (it aborts in its Arrow buffers). Only a file that is known to be undamaged may
     be read in a process that must live on. Raises RecordingError.
