@@ -132,8 +132,8 @@ class Chain:
         """(n, 5) bool: a parameter that acts like others of the chain, or like displacements of the flange, and of the base where that is
         not known.
 
-        A chain has 4 independent parameters for each revolute joint and 2 for each prismatic one, less 6 for an unknown base. They are found
-        by orthogonalising the twists of the flange at random postures, the last rows and the common parameters first.
+        A chain has 4 independent parameters for each revolute joint and 2 for each prismatic one, less 6 for an unknown base. They are
+        found by orthogonalising the twists of the flange at random postures, the last rows and the common parameters first.
         """
         low, high = self.drawn_between(np.where(self.prismatic[:, None], [-1e3, 1e3], [-np.pi, np.pi]))
         q = np.random.default_rng(0).uniform(low, high, (12 * self.n, self.n))

@@ -43,7 +43,7 @@ def gravity_torque(
 
 
 def downward(chain: Chain, frames: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """What points down, given (3,) in the base at zero of the axes of a table, in the base: (3,), or (P, 1, 3) where the base is a table."""
+    """What points down, given (3,) in the base at zero of the axes of a table, in the base: (3,), or (P, 1, 3) where it is a table."""
     g = np.asarray(gravity, dtype=float)
     if not chain.floor:
         return g

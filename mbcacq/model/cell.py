@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.files.mesh_file import Mesh
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
+from mbcacq.quantities import in_degrees
 
 Measurement = Literal["artefact_in_scanner", "target_in_base"]
 Drive = Literal["gear", "direct", "belt", "friction_wheel", "screw", "scaled_encoder"]
@@ -75,6 +76,23 @@ class RobotModel:
     def axes(self) -> tuple[str, ...]:
         """(n,) names of the axes."""
         return self.names or tuple(f"A{i + 1}" for i in range(self.n))
+
+    @property
+    def external(self) -> int:
+        """How many of the first axes are external ones."""
+        return sum(name.startswith("E") for name in self.names)
+
+    def shown(self, values: np.ndarray) -> np.ndarray:
+        """Positions, speeds .. (.., n) as people read them: deg of an axis that turns, mm of one that slides."""
+        return np.where(self.chain.prismatic, values, in_degrees(values))
+
+    def in_words(self, q: np.ndarray) -> str:
+        """A position (n,): 'A1 10.0° A2 ..'."""
+        return " ".join(f"{name} {value:.1f}{self.unit(k)}" for k, (name, value) in enumerate(zip(self.axes, self.shown(q), strict=True)))
+
+    def unit(self, axis: int) -> str:
+        """The sign of its unit: '°', or ' mm'."""
+        return " mm" if axis in self.chain.sliding else "°"
 
     def drive(self, joint: int) -> Drive | None:
         """What moves a joint, by its index; None where the source does not say."""

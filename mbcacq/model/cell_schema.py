@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import count
 from typing import Annotated, Any, Literal
 
@@ -117,6 +118,10 @@ class JointSpec(Strict):
         """Whether it is prismatic."""
         return self.type == "prismatic"
 
+    def inside(self, value: float) -> float:
+        """A position of a file, deg or mm, in rad or mm."""
+        return value if self.slides else float(from_degrees(value))
+
     def quantity(self, name: str) -> Any:
         """limits, speed, acceleration or jerk in rad, or mm of a prismatic joint; None where nothing is said."""
         said = getattr(self, joint_key(name, self.type))
@@ -167,6 +172,12 @@ class ExternalAxisSpec(JointSpec):
     name: Annotated[str, Field(pattern=r"^E[1-9]$")] | None = None
     direction: Direction
     point_mm: Place = (0.0, 0.0, 0.0)
+
+
+def in_order_of_chain(axes: Sequence[ExternalAxisSpec]) -> tuple[ExternalAxisSpec, ...]:
+    """Those that carry the artefact from its table to the floor, then those that carry the arm from the floor on."""
+    of_table = [axis for axis in axes if axis.carries == "artefact"]
+    return (*of_table[::-1], *(axis for axis in axes if axis.carries == "arm"))
 
 
 class PayloadSpec(Strict):
@@ -223,13 +234,13 @@ class RobotSpec(Strict):
                 if (f := link.follows)
             ),
         )
-        of_table = [axis for axis in (*external_axes, *self.external_axes) if axis.carries == "artefact"][::-1]  # seen from the table
-        before = [*of_table, *(axis for axis in (*external_axes, *self.external_axes) if axis.carries == "arm")]
+        before = in_order_of_chain((*external_axes, *self.external_axes))
         if before:
             towards = np.array([_unit(np.array(axis.direction, dtype=float)) for axis in before])
-            towards[: len(of_table)] *= -1
+            of_table = sum(axis.carries == "artefact" for axis in before)
+            towards[:of_table] *= -1
             slides = [i for i, axis in enumerate(before) if axis.slides]
-            chain = carried(chain, towards, np.array([axis.point_mm for axis in before], dtype=float), slides, len(of_table))
+            chain = carried(chain, towards, np.array([axis.point_mm for axis in before], dtype=float), slides, of_table)
         joints: tuple[JointSpec, ...] = (*before, *self.links)
         speed, acceleration, jerk = (_all_or_none([j.quantity(name) for j in joints]) for name in ("speed", "acceleration", "jerk"))
         gravity, k = np.array(self.base_to_gravity, dtype=float), len(before)
