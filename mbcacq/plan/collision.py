@@ -110,7 +110,7 @@ def _walls(loaded: LoadedPlan) -> Iterator[Body]:
 def _floor(loaded: LoadedPlan) -> tuple[int, np.ndarray]:
     """Number of the frame that stands on the floor, and the base at zero in it."""
     chain = loaded.cell.robot.chain
-    return chain.floor, se3.inverse(chain.frames(np.zeros((1, chain.n)))[0, chain.floor]) if chain.floor else np.eye(4)
+    return chain.floor, se3.inverse(chain.frames(np.zeros((1, chain.n)))[0, chain.floor])
 
 
 def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
@@ -121,7 +121,9 @@ def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
         low, high = artefact.box.copy()
     else:
         low, high = _room_of_balls(artefact, planning)
-    bodies = [_box(f"artefact {artefact.id}", 0, T_base_station, low, high)]
+    root = loaded.cell.robot.chain.root
+    T_frame_base = np.eye(4) if root is None else se3.inverse(root)
+    bodies = [_box(f"artefact {artefact.id}", 0, T_frame_base @ T_base_station, low, high)]
     radius = loaded.plan.tripod_radius_mm
     down = loaded.cell.robot.gravity
     top = se3.apply(T_base_station, np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])) + radius * down
@@ -129,7 +131,7 @@ def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
     floor = max((np.abs(np.array([o.min_mm, o.max_mm]) @ down).max() for o in loaded.plan.obstacles), default=without_floor)
     length = floor - top @ down - radius
     if radius > 0 and length > planning.shortest_body_mm and not loaded.cell.robot.chain.floor:  # a table has no tripods
-        bodies.append(_capsule("tripod", 0, np.eye(4), top, top + length * down, radius))
+        bodies.append(_capsule("tripod", 0, T_frame_base, top, top + length * down, radius))
     return bodies
 
 

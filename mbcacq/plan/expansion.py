@@ -223,7 +223,7 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
 
 
 def _spread(loaded: LoadedPlan, number: int, q: np.ndarray) -> np.ndarray:
-    """Those of the joint positions (k, n) that reach a target at which the axes to be spread are nearest to its share of their range, by the
+    """Those of the positions (k, n) that reach a target at which the axes to be spread are nearest to its share of their range, by the
     sequence of Halton (1960): any few in a row are spread over it."""
     axes = np.flatnonzero(loaded.plan.robot.is_spread)
     if not len(axes) or not len(q):
