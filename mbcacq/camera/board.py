@@ -161,7 +161,7 @@ def board_of(kind: str, size: str, pitch_mm: float, inner_mm: float | None = Non
     """A board as somebody says it: size such as '8x6'. Raises ConfigError."""
     found = re.fullmatch(r"\s*(\d{1,3})\s*[xX*]\s*(\d{1,3})\s*", size)
     if not found or min(map(int, found.groups())) < (1 if kind in ("aruco", "april") else 2):
-        raise ConfigError(f"the size '{size}' of the board is none; give columns and rows, such as 8x6")
+        raise ConfigError(f"the size '{size}' of the board is not understood; give columns and rows, such as 8x6")
     marked = kind in ("charuco", "aruco", "april")
     if marked and inner_mm is None:
         of_pitch = "side of a square" if kind == "charuco" else "distance of their centres"

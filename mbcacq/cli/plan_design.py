@@ -33,6 +33,15 @@ from mbcacq.quantities import significant
     help="Order the poses instead, those of PLAN and better ones, so that the first few show most: after 24 of them a diagnosis may say "
     "that there is no effect, and a run may stop at any time.",
 )
+@click.option(
+    "--part",
+    type=click.Path(path_type=Path),
+    is_flag=False,
+    flag_value=Path(),
+    metavar="[MESH]",
+    help="Choose the views of the first `do: scan` step instead, by the surface they show: of MESH (mm, the part's frame), or of the mesh "
+    "that the part's file names.",
+)
 @click.option("--seconds", type=click.FloatRange(5, 120), default=20.0, show_default=True, help="Duration of that motion.")
 @click.option(
     "--out",
@@ -55,6 +64,7 @@ def design(
     count: int | None,
     motion: tuple[Path, ...],
     order: bool,
+    part: Path | None,
     seconds: float,
     out: Path | None,
     criterion: str,
@@ -73,7 +83,12 @@ def design(
 
     With --order as many poses as PLAN has (or --poses) are ordered in blocks. Each block is the best continuation of those before it: it
     shows most of all effects of the catalogue, per second of motion, scan and artefact move.
+
+    With --part the fewest views are sought that show 98 % of what can be seen of a part at all, each overlapping with others.
     """
+    if part is not None:
+        cover_part(plan, part, out or plan.with_name(f"{plan.stem}_covering.yaml"), tilt, seed, force, as_json)
+        return
     if motion:
         design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force, as_json)
         return
@@ -91,10 +106,7 @@ def design(
     if count is None:
         raise ConfigError("nothing is asked for; give --poses N for a plan, or --motion RECORDING for a motion")
     target = out or plan.with_name(f"{plan.stem}_designed.yaml")
-    if target.exists() and not force:
-        raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
-    if target.resolve().parent != plan.resolve().parent:
-        raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
+    refuse_place(plan, target, force)
     loaded, repairs = repaired(load(plan))
     for sentence in repairs:
         echo(sentence, err=True)
@@ -119,17 +131,46 @@ def design(
     say_next("try it without hardware", command_line("run", target, "--dry-run"))
 
 
-def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
-    """Order a plan, write it, and print what its blocks carry."""
-    from mbcacq.design.adaptive.plan_order import ordered
-    from mbcacq.errors import ConfigError
+def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
+    """Choose views of a part, write the plan, and print what they show."""
+    from mbcacq.design.part_coverage import design_part
     from mbcacq.files.atomic_write import write_file
+    from mbcacq.files.mesh_file import read_mesh
     from mbcacq.plan import expand, load, refuse_errors
+
+    refuse_place(plan, out, force)
+    with StepProgress() as steps:
+        steps.begin("choosing views by the surface that they show")
+        found = design_part(load(plan), None if part == Path() else read_mesh(part), tilt, seed)
+        new = load(out, found.text)
+        refuse_errors(new, expand(new))
+        write_file(out, found.text)
+    if as_json:
+        figures = {"views": found.views, "covered": found.covered, "visible": found.visible, "tried": found.tried}
+        echo(json.dumps({"format": "mbcacq-part-design/1", "plan": str(out), **figures}))
+        return
+    echo(f"{found.views} views show {found.covered:.1%} of what can be seen of the part; that is {found.visible:.1%} of its surface")
+    echo(f"chosen from {found.tried} views that can be taken; written to {out}")
+    say_next("try it without hardware", command_line("run", out, "--dry-run"))
+
+
+def refuse_place(plan: Path, out: Path, force: bool) -> None:
+    """Raise ConfigError where a new plan would replace a file, or could not name what PLAN names."""
+    from mbcacq.errors import ConfigError
 
     if out.exists() and not force:
         raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
     if out.resolve().parent != plan.resolve().parent:
         raise ConfigError(f"{out}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
+
+
+def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
+    """Order a plan, write it, and print what its blocks carry."""
+    from mbcacq.design.adaptive.plan_order import ordered
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.plan import expand, load, refuse_errors
+
+    refuse_place(plan, out, force)
     with StepProgress() as steps:
         steps.begin("leaving out what is missed least, pose by pose")
         found = ordered(load(plan), count, tilt, seed)

@@ -54,9 +54,9 @@ def candidates(
 ) -> list[CandidateView]:
     """Random views that can be taken: within the limits less a margin, wrist bent, enough balls in view and not hidden, nothing near."""
     options, rng = options or DesignOptions(), np.random.default_rng(seed)
-    choice = _Choice(loaded, options)
+    choice = ViewChoice(loaded, options)
     steepest_deg = min(steepest_deg, in_degrees(loaded.planning.steepest_view))
-    seen: list[_SeenView] = []
+    seen: list[SeenView] = []
     for station in stations:
         single = single_aims(loaded, station)
         for aim in single:
@@ -72,7 +72,7 @@ def single_aims(loaded: LoadedPlan, station: str) -> list[int] | list[None]:
 
 
 @dataclass(frozen=True)
-class _SeenView:
+class SeenView:
     """A view that shows enough balls, with the flange's pose (4, 4) and the balls in view."""
 
     station: str
@@ -82,14 +82,14 @@ class _SeenView:
     balls: tuple[int, ...]
 
 
-class _Choice:
+class ViewChoice:
     """Keeps of many views those that can be taken."""
 
     def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
         self._loaded, self._options = loaded, options
         self._solver, self._clearance = inverse_kinematics(loaded.cell.robot, sampled=True), clearance_of(loaded)
 
-    def seen(self, station: str, aim: int | None, views: list[View]) -> list[_SeenView]:
+    def seen(self, station: str, aim: int | None, views: list[View]) -> list[SeenView]:
         """The ``views`` of one ball, or of all (None), that show enough balls, none of them hidden."""
         cell, planning, field = self._loaded.cell, self._loaded.planning, self._loaded.plan.scanner.field_of_view
         T_base_station = cell.station(station).planned_pose
@@ -105,15 +105,15 @@ class _Choice:
         for k in np.flatnonzero(inside.sum(axis=1) >= fewest):
             hidden = [behind for _, behind in occluded(xyz[k], radii, field, planning.hidden_share)]
             if not inside[k, hidden].any():
-                out.append(_SeenView(station, aim, views[k], flanges[k], tuple(ids[inside[k]].tolist())))
+                out.append(SeenView(station, aim, views[k], flanges[k], tuple(ids[inside[k]].tolist())))
         return out
 
-    def taken(self, seen: list[_SeenView]) -> list[CandidateView]:
+    def taken(self, seen: list[SeenView]) -> list[CandidateView]:
         """The views that the arm can take."""
-        postures = [(v, q) for v, q in zip(seen, self._postures(seen), strict=True) if q is not None]
+        postures = [(v, q) for v, q in zip(seen, self.postures(seen), strict=True) if q is not None]
         return [CandidateView(v.station, v.aim, v.view, self._pose(k, v.station, q, v.balls)) for k, (v, q) in enumerate(postures)]
 
-    def _postures(self, seen: list[_SeenView]) -> list[np.ndarray | None]:
+    def postures(self, seen: list[SeenView]) -> list[np.ndarray | None]:
         """The position by which the plan's expansion will reach each view, or None where that one is poor."""
         loaded, robot, options = self._loaded, self._loaded.cell.robot, self._options
         sign = [{"positive": 1, "negative": -1, "any": 0}[v.view.wrist] for v in seen]

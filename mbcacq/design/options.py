@@ -25,6 +25,13 @@ class DesignOptions:
     shifts_mm: tuple[float, float, float] = (16.0, 24.0, 20.0)  # largest shift of the aim in the view, along x, y, z
     fewest_balls: int = 4  # that a view must show, or all where the artefact has fewer
 
+    # Views of a part.
+    part_views: int = 600  # random views, of which some can be taken
+    surface_points: int = 4000  # of which each stands for as much surface
+    flattest_deg: float = 60.0  # incidence: beyond, a scanner sees little and noisily
+    coverage: float = 0.98  # of what can be seen at all
+    overlap: float = 0.3  # of the smaller view, with which two views hang together
+
     # Optimal design.
     exchange_rounds: int = 4  # exchanges tried at most, per chosen pose
     least_improvement: float = 1e-6  # of the criterion, relative: a smaller one ends the exchange

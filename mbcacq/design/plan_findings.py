@@ -9,6 +9,7 @@ from typing import Any
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE
 from mbcacq.design.effect_detectability import Detectability, detectability
 from mbcacq.design.options import OPTIONS
+from mbcacq.design.planned_scope import PART_ALONE, scans_part
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
 from mbcacq.design.station_repair import station_moves
 from mbcacq.errors import CalibrationError
@@ -28,6 +29,8 @@ def identifiability_findings(
     if not poses:
         return [], None, None  # nothing is reachable, and ``check_reach`` says so of every target
     useful = [p for p in poses if p.balls]
+    if not useful and scans_part(loaded, poses):
+        return [PlanFinding(level="info", code="part-alone", step="", place=place, sentence=PART_ALONE)], None, None
     if not any(p.phase != "verification" for p in useful):
         sentence = "there is no pose to calibrate with; add steps of another phase"
         return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None

@@ -10,9 +10,10 @@ from typing import Any
 from mbcacq.design.candidate_views import CandidateView
 from mbcacq.model import yaml12
 from mbcacq.plan import LoadedPlan
-from mbcacq.plan.schema import View
+from mbcacq.plan.schema import PartView, View
 
 NAME = "designed"
+PURPOSE = {"position": "for what they determine of the arm", "part": "for the surface that they show"}
 
 
 Chosen = dict[tuple[str, int | None], list[View]]
@@ -42,8 +43,13 @@ def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
 
 def with_position_steps(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str:
     """The text of the plan with these steps in the place of its 'position' steps, where the first of them stood, or first."""
-    text = _spliced(loaded, steps)
-    expected = _replaced(loaded, steps)
+    return with_steps(loaded, steps, "position")
+
+
+def with_steps(loaded: LoadedPlan, steps: list[dict[str, Any]], phase: str) -> str:
+    """The text of the plan with these steps in the place of those of a phase, where the first of them stood, or first."""
+    text = _spliced(loaded, steps, phase)
+    expected = _replaced(loaded, steps, phase)
     if text is not None and yaml12.load(text) == expected:
         return text
     # Steps not written one below the other: the meaning is kept, the comments are not.
@@ -64,6 +70,8 @@ def view_mapping(view: View) -> dict[str, Any]:
     """A view as it stands in a plan."""
     angles = {"tilt_deg": view.tilt_deg, "azimuth_deg": view.azimuth_deg, "roll_deg": view.roll_deg}
     content: dict[str, Any] = {k: int(v) if float(v).is_integer() else v for k, v in angles.items()}
+    if isinstance(view, PartView) and view.at_mm is not None:
+        content = {"at_mm": [int(x) if float(x).is_integer() else x for x in view.at_mm], **content}
     if any(view.shift_mm):
         content["shift_mm"] = [int(x) if float(x).is_integer() else x for x in view.shift_mm]
     if view.wrist != "any":
@@ -71,16 +79,16 @@ def view_mapping(view: View) -> dict[str, Any]:
     return content
 
 
-def _replaced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> dict[str, Any]:
+def _replaced(loaded: LoadedPlan, steps: list[dict[str, Any]], phase: str) -> dict[str, Any]:
     data = yaml12.load(loaded.text)
-    old = [i for i, s in enumerate(data["steps"]) if s["phase"] == "position"]
+    old = [i for i, s in enumerate(data["steps"]) if s.get("phase", "part") == phase]
     at = old[0] if old else 0
     left = [s for i, s in enumerate(data["steps"]) if i not in old]
     data["steps"] = left[:at] + steps + left[at:]
     return data
 
 
-def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
+def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]], phase: str) -> str | None:
     """The text with lines replaced and everything else kept, or None where steps share lines."""
     lines, plan = loaded.text.splitlines(), loaded.plan
     starts = [loaded.lines["steps", i] - 1 for i in range(len(plan.steps))]
@@ -89,8 +97,8 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
     indent = lines[starts[0]][: len(lines[starts[0]]) - len(lines[starts[0]].lstrip())]
     after = [i for i in range(starts[-1] + 1, len(lines)) if lines[i] and not lines[i].startswith((indent + " ", indent + "#"))]
     bounds = [*starts, after[0] if after else len(lines)]
-    old = [i for i, s in enumerate(plan.steps) if s.phase == "position"]
-    new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, for what they determine of the arm."]
+    old = [i for i, s in enumerate(plan.steps) if s.phase == phase]
+    new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, {PURPOSE[phase]}."]
     new += [indent + line if line else line for step in steps for line in [*_lines(step), ""]]
     out = lines[: starts[0]]
     for i in range(len(plan.steps)):
@@ -118,7 +126,7 @@ def _trailing_comment(lines: list[str]) -> int:
 
 def _lines(step: dict[str, Any]) -> list[str]:
     head = [f"- name: {_flow(step['name'])}", f"  phase: {step['phase']}", f"  do: {step['do']}"]
-    head += [f"  {key}: {_flow(step[key])}" for key in ("stations", "balls") if key in step]
+    head += [f"  {key}: {_flow(step[key])}" for key in ("stations", "balls", "exposures") if key in step]
     return [*head, "  views:", *(f"    - {_flow(view)}" for view in step["views"])]
 
 

@@ -13,6 +13,7 @@ from mbcacq.model.json_text import EveryKey, Number
 from mbcacq.quantities import K
 
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
+LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of a periodic error, of which a joint has one component for each line
 UNCERTAIN = "no figure is beyond its expanded uncertainty (k = 2)"
 REMOVES_NOTHING = "held-out data are predicted as well without it"
 NOT_FOUND_AGAIN = "the same search does not find it in both halves of the recording"

@@ -1,6 +1,6 @@
 """The rigid step between two scans of one surface, from the distances in their overlap: generalised least squares.
 
-Neighbouring cells share the smooth error of a scan, so their covariance is s^2 exp(-d^2 / 2 l^2) beside the scatter of the points. Both
+Neighbouring cells share the smooth error of a scan, so their covariance is s^2 exp(-d^2 / 2 l^2) beside the scatter of the points. These
 numbers are those of the scanner: they are estimated from all overlaps together by restricted maximum likelihood (Patterson and Thompson
 1971).
 """
@@ -22,10 +22,14 @@ OVERLAPS_FOR_NOISE = 40
 
 @dataclass(frozen=True)
 class SmoothNoise:
-    """The smooth noise of the distance of two scans: sigma_mm, and the length_mm over which it varies."""
+    """The noise of the distance of two scans: sigma_mm of what varies over length_mm, and the share of the scatter in a cell that is noise.
+
+    The rest of that scatter is shape of the surface beyond the cell's quadric, which both scans have, and which cancels in their distance.
+    """
 
     sigma_mm: float
     length_mm: float
+    share: float = 1.0
 
     def covariance(self, cells: Overlap) -> np.ndarray:
         """(c, c) mm^2 of the distances."""
@@ -34,7 +38,7 @@ class SmoothNoise:
     def covariance_of(self, points: np.ndarray, variance: np.ndarray) -> np.ndarray:
         """(c, c) mm^2 of heights at points (c, 3) mm, whose own variance (c,) is known."""
         square = np.sum((points[:, None] - points) ** 2, axis=2)
-        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + np.diag(variance)
+        return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + self.share * np.diag(variance)
 
 
 @dataclass(frozen=True)
@@ -145,12 +149,12 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     shortest = float(np.median([np.sqrt(np.min(_squares(cells), axis=1)).mean() for cells in some]))
 
     def cost(at: np.ndarray) -> float:
-        noise = SmoothNoise(float(np.exp(at[0])), float(np.exp(at[1])))
+        noise = SmoothNoise(*np.exp(at).tolist())
         return sum(_restricted_cost(cells, noise) for cells in some)
 
     sigma = np.sqrt(np.median([np.median(cells.variance) for cells in some]))
-    low, high = np.log([0.01 * sigma, 0.5 * shortest]), np.log([30 * sigma, 0.5 * float(np.median(spans))])
-    starts = [np.log([sigma, length]) for length in (2 * shortest, 0.2 * float(np.median(spans)))]
+    low, high = np.log([0.01 * sigma, 0.5 * shortest, 0.05]), np.log([30 * sigma, 0.5 * float(np.median(spans)), 2.0])
+    starts = [np.log([sigma, length, 0.7]) for length in (2 * shortest, 0.2 * float(np.median(spans)))]
     limits, exact = list(zip(low, high, strict=True)), {"xatol": 0.02, "fatol": 0.1}
     tried = [minimize(cost, start, method="Nelder-Mead", bounds=limits, options=exact) for start in starts]
     found = min(tried, key=lambda one: one.fun)

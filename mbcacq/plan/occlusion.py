@@ -48,7 +48,7 @@ def occluded(xyz: np.ndarray, radius: np.ndarray, field: FieldOfView, hidden_sha
 
     hidden_share: of the sum of two radii (B,) mm; rays to two balls that pass closer together count as hidden.
     """
-    camera = np.array([0.0, 0.0, _camera_height(field)])
+    camera = np.array([0.0, 0.0, camera_height(field)])
     ray = xyz - camera
     distance = np.linalg.norm(ray, axis=1)
     direction = ray / distance[:, None]
@@ -59,7 +59,7 @@ def occluded(xyz: np.ndarray, radius: np.ndarray, field: FieldOfView, hidden_sha
     return [(int(j), int(i)) for i, j in zip(*np.nonzero(hides), strict=True)]
 
 
-def _camera_height(field: FieldOfView) -> float:
+def camera_height(field: FieldOfView) -> float:
     """z (mm) where the sides of the frustum meet, the longer sides if they meet at different heights."""
     slope = (np.array(field.far_half_mm) - np.array(field.near_half_mm)) / (field.near_z_mm - field.far_z_mm)
     height = field.near_z_mm + np.array(field.near_half_mm) / np.maximum(slope, 1e-6)

@@ -70,7 +70,7 @@ def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
     rows = [[cell.strip() for cell in match[1].split(",")] for match in _TEXT_MESSAGE.finditer(_text(path))]
     for row in rows:
         if len(row) != n or not all(re.fullmatch(_NUMBER, v, re.ASCII) and np.isfinite(float(v)) for v in row):
-            raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles that are numbers; save the log anew")
+            raise ConfigError(f"{path}: a message 'mbcacq joints' lacks {n} numeric angles; save the log anew")
     return in_degrees(np.array(rows, dtype=float)), None
 
 

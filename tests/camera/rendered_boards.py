@@ -1,6 +1,7 @@
 """Images of boards as a camera with blur, noise and distortion takes them, rendered from the truth, with poses of a flange that errs."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -38,6 +39,7 @@ class Cell:
     seen: np.ndarray
 
 
+@cache
 def texture(board: Board) -> tuple[np.ndarray, np.ndarray]:
     """The printed board and the place (2,) of its first pixel's corner, mm."""
     c, r, pitch = board.columns, board.rows, board.pitch_mm
@@ -60,21 +62,23 @@ def texture(board: Board) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, 0, 255).astype(np.uint8), np.array([-pitch, -pitch])
 
 
+@cache
 def rays() -> np.ndarray:
-    """(H FINE, W FINE, 2) x / z and y / z."""
+    """(2, H FINE, W FINE) float32 x / z and y / z."""
     u, v = (((np.arange(n * FINE) + 0.5) / FINE - 0.5) for n in SIZE)
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
     term = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9)
-    return cv2.undistortPointsIter(uv, K, DISTORTION, None, None, term).reshape(len(v), len(u), 2)
+    along = cv2.undistortPointsIter(uv, K, DISTORTION, None, None, term).reshape(len(v), len(u), 2)
+    return np.ascontiguousarray(np.moveaxis(along, 2, 0), dtype=np.float32)
 
 
-def render(board: Board, T: np.ndarray, along: np.ndarray, rng: np.random.Generator, blur: float, noise: float) -> np.ndarray:
+def render(board: Board, T: np.ndarray, rng: np.random.Generator, blur: float, noise: float) -> np.ndarray:
     picture, corner = texture(board)
-    R, t = T[:3, :3], T[:3, 3]
-    d = np.concatenate([along, np.ones((*along.shape[:2], 1))], axis=-1)
-    place = d * ((R[:, 2] @ t) / (d @ R[:, 2]))[..., None] - t
-    xy = (place @ R[:, :2] - corner) * TEXTURE - 0.5
-    white = cv2.remap(picture, xy.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
+    (x, y, z), t = (r.astype(np.float32) for r in T[:3, :3].T), T[:3, 3]
+    a, b = rays()
+    depth = np.float32(z @ t) / (a * z[0] + b * z[1] + z[2])
+    u, v = ((depth * (a * r[0] + b * r[1] + r[2]) - np.float32(r @ t + c)) * TEXTURE - 0.5 for r, c in ((x, corner[0]), (y, corner[1])))
+    white = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=255)
     grey = cv2.resize(white.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA)
     grey = cv2.GaussianBlur(30 + 0.75 * grey, (0, 0), blur) + noise * rng.normal(size=grey.shape)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
@@ -105,8 +109,7 @@ def make(kind: str, rng: np.random.Generator, *, fixed: bool = False, poses: int
     true = Z @ seen @ se3.inverse(X) if fixed else Z @ se3.inverse(seen) @ se3.inverse(X)
     off = POSE_SIGMA * rng.normal(size=(poses, 6))
     reported = se3.transform(se3.rotation_exp(off[:, 3:]) @ true[:, :3, :3], true[:, :3, 3] + off[:, :3])
-    along = rays()
-    images = [render(board, T, along, rng, blur, noise) for T in seen]
+    images = [render(board, T, rng, blur, noise) for T in seen]
     return Cell(board, images, flange_coordinates(reported), X, Z, seen)
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged, by_effect, is_changed
+from mbcacq.diagnosis.evidence.between_sets import WeightedSet, alternatives_to, averaged, by_effect, is_changed
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor, over_sizes
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -156,3 +156,16 @@ def test_what_most_arms_of_a_class_have_beside_another_effect_has_its_own_odds()
     # An effect that is given counts as there.
     known = SetPrior.of([plain, spring], 1, ["soft:A2"])
     assert known.log_probability(spring, []) == pytest.approx(np.log(3.0))
+
+
+def test_sets_that_differ_by_unmodelled_effects_alone_are_no_others_where_these_stand_at_all_locations():
+    def compared(*effects):
+        members = tuple(SimpleNamespace(candidate=Named(*effect), label=Named(*effect).label) for effect in effects)
+        return SimpleNamespace(members=members, labels=frozenset(m.label for m in members), log_posterior=0.0, key=())
+
+    gear, soft = ("gear_transmission_error",), ("joint_compliance",)
+    here, there = ("unknown", ("A4",)), ("unknown", ("A1",))
+    reported, elsewhere, named = compared(gear, here), compared(gear, there), compared(soft, here)
+    fit = SimpleNamespace(hypotheses=(reported, elsewhere, named), significant=False)
+    assert [h for h, _ in alternatives_to(fit, reported)] == [elsewhere, named]
+    assert [h for h, _ in alternatives_to(fit, reported, everywhere=True)] == [named]

@@ -49,6 +49,9 @@ def desk(tmp_path: Path) -> Path:
         with plan.open("a", encoding="utf-8") as end:
             end.write("\nfake: {pitch_mm: 1.0}\n")
     at_full_speed(tmp_path / "plans" / "kuka.yaml")
+    sweeps = tmp_path / "plans" / "profiler.yaml"  # at its first station: those of all five are the same commands for a minute longer
+    text = sweeps.read_text(encoding="utf-8")
+    sweeps.write_text(text[: text.index("  - name: places")] + text[text.index("\nfake:") :], encoding="utf-8")
     at_full_speed(tmp_path / "plans" / "concealed.yaml", scan_time_s=1.0)
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
@@ -81,16 +84,12 @@ DRY_RUN = re.compile(r"^(?:\.venv/bin/)?mbcacq run plans/((?:quick|kuka|conceale
 
 DIAGNOSED = re.compile(r"^(?:\.venv/bin/)?mbcacq diagnose runs/concealed --calibrate$")
 
-# These pages make a plan of their own; its arm moves faster and its scanner takes less time, with as many poses.
+# This page makes a plan of its own; its arm moves faster and its scanner takes less time, with as many poses.
 FASTER = "sed -i -e 's/^  speed: .*/  speed: 1.0/; s/^  scan_time_s: .*/  scan_time_s: 0.1/'"
 OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"  # goes by the clock, and exposes once
-NEW_PLAN_OF_A_KUKA = "mbcacq plan new --robot kr6_r900_2"
 
 # That a plan of this arm comes of it is the fact, not for how many places.
 NEW_PLAN, FEW = "mbcacq plan new --robot ur10e", "--stations 3 --poses 12"
-
-# All of it takes two minutes; benchmarks/investigate.py has what it finds. Here its first block is executed.
-INVESTIGATION = re.compile(r"^(?:\.venv/bin/)?mbcacq investigate plans/\w+\.yaml --dry-run$")
 
 
 def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], diagnosed: Callable[[], FinishedRun]) -> str:
@@ -101,12 +100,8 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], di
             lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
         elif line.strip() == OWN_CELL:
             lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' plans/my-cell.yaml")
-        elif line.startswith(NEW_PLAN_OF_A_KUKA):
-            lines.append(f"{line} && {FASTER} plan.yaml")
         elif line.startswith(NEW_PLAN):
             lines.append(f"{line} {FEW}")
-        elif INVESTIGATION.match(line.strip()):
-            lines.append(f"{line} --poses 24")
         elif DIAGNOSED.match(line.strip()):
             run = diagnosed()
             lines.append(f"cp -a '{run.folder}'/. runs/concealed && cat '{run.desk / 'stdout'}'")

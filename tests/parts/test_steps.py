@@ -27,9 +27,15 @@ def pairs(shape, count, seed):
         yield overlap((se3.apply(E, placed[0][0]), placed[0][1] @ E[:3, :3].T), placed[1], EDGE_MM, OPTIONS), error
 
 
+@pytest.fixture(scope="module")
+def made():
+    """Fourteen pairs of views of each shape."""
+    return {shape: list(pairs(shape, 14, 3)) for shape in ("casting", "turned")}
+
+
 @pytest.mark.parametrize("shape", ["casting", "turned"])
-def test_steps_scatter_as_their_covariance_says(shape):
-    made = list(pairs(shape, 14, 3))
+def test_steps_scatter_as_their_covariance_says(shape, made):
+    made = made[shape]
     noise = smooth_noise([cells for cells, _ in made], OPTIONS)
     normalised, directions = 0.0, 0
     for cells, error in made:
@@ -48,9 +54,9 @@ def test_steps_scatter_as_their_covariance_says(shape):
     assert 0.6 < normalised / directions < 1.5  # 84 and 70 values of mean 1: four of its sigmas
 
 
-def test_the_smooth_noise_of_the_scanner_is_found():
+def test_the_smooth_noise_of_the_scanner_is_found(made):
     """Made with a depth error of 0.0096 mm (0.009 of a fitted centre) over knots of 12 mm; the distance of two scans has it twice."""
-    noise = smooth_noise([cells for cells, _ in pairs("casting", 14, 5)], OPTIONS)
+    noise = smooth_noise([cells for cells, _ in made["casting"]], OPTIONS)
     assert 0.75 < noise.sigma_mm / (np.sqrt(2) * 0.0096) < 1.25
     assert 7 < noise.length_mm < 15
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
+from mbcacq.diagnosis.effect_found import LINE, EffectFound, MismatchEntry
 from mbcacq.diagnosis.output import repetition, text
 from mbcacq.diagnosis.output.figures import beyond_uncertainty
 from mbcacq.diagnosis.result import Diagnosis
@@ -79,14 +79,15 @@ def in_short(figures: Sequence[str]) -> str:
 
 
 def figures_of(own: dict[str, ParameterEstimate]) -> list[str]:
-    """The parameters of one location; of a periodic error its harmonics, the largest first."""
+    """The parameters of one location; of a periodic error its lines, the largest first, and what is stated of all together."""
     orders, amplitudes = own.get("order"), own.get("amplitude_deg")
     if orders is None or amplitudes is None:
         return [text.reported(name, estimate) for name, estimate in own.items()]
     sizes, _ = amplitudes.components
     _, unit, factor = split_unit("amplitude_deg")
     largest = sorted(range(len(sizes)), key=lambda k: -sizes[k])
-    return [f"order {orders.only([k])}, amplitude {amplitudes.only([k]).shown(unit, factor)}" for k in largest]
+    lines = [f"order {orders.only([k])}, amplitude {amplitudes.only([k]).shown(unit, factor)}" for k in largest]
+    return [*lines, *(text.reported(name, estimate) for name, estimate in own.items() if name not in LINE)]
 
 
 def mismatch_in_brief(mismatch: Sequence[MismatchEntry]) -> list[str]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mbcacq.diagnosis.effect_found import EffectFound, FoundAgain, PossibleOrder
+from mbcacq.diagnosis.effect_found import LINE, EffectFound, FoundAgain, PossibleOrder
 from mbcacq.diagnosis.evidence.order_posterior import LEAST_APART, OrderPeak, other_peaks, resolution_of
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
@@ -27,7 +27,6 @@ MOST_PEAKS = 3  # that are stated with their odds; more say that the order is no
 SHARPEST = 0.5  # expanded uncertainty from which an order is not determined: it does not tell one whole number from the next
 ONE_PEAK = 0.4  # of the resolution, within which orders of two parts are one
 ALIASES = 2.0  # orders, or one resolution, within which what parts have is the same line
-LINE = ("order", "amplitude_deg", "phase_deg")  # parameters of which a joint has one component for each line
 RMS = "rms_deg"  # over the poses, of the error of a joint by its own angle: its fast lines, and what they leave
 SLOW = UNMODELLED.slow_order  # orders below trade with geometry and gravity, and are no part of that
 PARTS_OF_TRAVEL = 4  # with equally many poses, between which the error of a joint is compared

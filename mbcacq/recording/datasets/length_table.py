@@ -35,7 +35,7 @@ def read_lengths(table: Table, options: TableOptions) -> UnderstoodTable | None:
     length = values[row, wire]
     if (length <= 0).any():
         raise ConfigError(
-            f"{table.where(int(row[np.argmin(length)]), list(found)[0])}: a distance of {length.min():g} mm is none; correct it"
+            f"{table.where(int(row[np.argmin(length)]), list(found)[0])}: a distance of {length.min():g} mm is impossible; correct it"
         )
     zero = np.zeros(len(row))
     target = Artefact("target", POINT, (1,), np.zeros((1, 3)), np.zeros(1), 0.0)
