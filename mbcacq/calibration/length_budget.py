@@ -144,9 +144,8 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
 
 
 def repeated_variance(obs: Observations, found_mm2: float) -> float:
-    """Variance (mm^2) of one end by the arm's repeatability: as the recording shows it, but no more than the data sheet's pose
-    repeatability, where it states one. Lacks of a model may look like scatter of the joints, and must not widen the uncertainty by which it
-    is judged.
+    """Variance (mm^2) of one end by the arm's repeatability: as the recording shows it, but no more than the pose repeatability of the data
+    sheet, if stated. Lacks of a model may look like scatter of the joints, and must not widen the uncertainty by which it is judged.
     """
     if obs.cell.robot.repeatability_mm is None:
         return found_mm2

@@ -74,7 +74,7 @@ def run(
 
 
 def described(observations: Observations, truth: Mapping[str, Any]) -> Observations:
-    """The recording with the drives stated by which its joints can have the injected effects: a cell is made with what it has."""
+    """The recording, stating the drives that its joints need for the injected effects."""
     robot = observations.cell.robot
     for effect in truth["effects"]:
         robot = with_drives_for(robot, effect["name"], tuple(effect.get("where", ())))

@@ -74,8 +74,8 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
 
 
 def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
-    """The candidate of a periodic error with the order as uncertain as all orders that the travel cannot tell apart are probable, and each
-    reported size as uncertain as it differs between them: of less than two periods the amplitude goes with the order.
+    """The candidate of a periodic error. Its order is as uncertain as the orders that the travel cannot tell apart, and each reported size
+    as uncertain as it differs between them: over less than two periods the amplitude goes with the order.
     """
     candidate, found = member.candidate, member.hyper
     assert candidate.hyper is not None, "only asked of periodic effects"
