@@ -81,7 +81,9 @@ class ExternalAxesInverse:
         m, chain = robot.external, robot.chain
         own = Chain(chain.sign[m:], *chain.rows[m:].T)
         arm = inverse_kinematics(replace(robot, chain=own, limits=robot.limits[m:], names=()), home[m:], sampled=sampled)
-        spread = [np.r_[home[i], np.linspace(*robot.limits[i], GRID)] if free[i] else home[i : i + 1] for i in range(m)]
+        spread = [
+            np.r_[home[i], np.linspace(robot.limits[i, 0], robot.limits[i, 1], GRID)] if free[i] else home[i : i + 1] for i in range(m)
+        ]
         return cls(chain, arm, np.array(list(product(*spread))), robot.limits)
 
     def _bases(self, places: np.ndarray) -> np.ndarray:
