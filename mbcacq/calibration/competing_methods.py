@@ -60,7 +60,7 @@ class HeldOutComparison(AsJson):
         return float(np.sqrt(np.mean((self.robust_mm if robust else self.rms_mm)[name] ** 2)))
 
     def sentence(self, own: str) -> str:
-        """For whoever gets another calibration than ``own``, which was asked for."""
+        """A sentence for a user who gets another calibration than the one asked for, ``own``."""
         judged = self.robust_mm or self.rms_mm
         better = int(np.sum(judged[self.chosen] < judged[own]))
         robust = (

@@ -1,7 +1,7 @@
 """Whether a recording is described as it was made: simple changes of its description, compared by a quick fit of the plain geometry.
 
-The fit is of hand-eye and stations, the arm as it is described, by the solver of every calibration without its noise: all centres count
-alike, then those that are closest, so that single wrong rows do not decide.
+The solver of every calibration fits hand-eye and stations to the arm as described, without its noise. All centres count alike, then the
+closest ones, so that single wrong rows do not decide.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What simple fault while a recording was made explains its misfit: found by cheap tests, each of which has one story.
+"""Simple faults, made while a recording was measured, that explain its misfit. Each cheap test looks for one of them.
 
 A place that moved, a scanner that slipped or a joint that stepped at a moment are further columns of the linear problem. Their gain of chi
 square follows from the solution without another fit, and so does that of a pose that is left out (Cook 1977; Belsley, Kuh, Welsch 1980).

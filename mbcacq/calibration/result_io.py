@@ -148,8 +148,8 @@ def split_number(path: Path) -> tuple[Path, int | None]:
 
 
 def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: bool = False) -> Any:
-    """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
-    only what they share is asked for. Raises ConfigError if it is not said which, and where the content's checksum does not hold.
+    """The result of one recording in a joint result; any other content as it is. any_of_them: take the first without a number, for what all
+    of them share. Raises ConfigError if it is not said which, and where the content's checksum does not hold.
     """
     if isinstance(content, dict) and (sentence := newer_format(content.get("format"), (JOINT_FORMAT, FORMAT))):
         raise ConfigError(f"{file} {sentence}")
@@ -186,7 +186,7 @@ def caveats(result: Mapping[str, Any]) -> list[str]:
 
 
 def with_warnings(result: Mapping[str, Any]) -> list[str]:
-    """The caveats, and what the calibration warned of: for whoever takes a result further and did not see how it was made."""
+    """The caveats, and what the calibration warned of: for a reader of the result who did not see how it was made."""
     return [*caveats(result), *(str(warning) for warning in result.get("warnings") or ())]
 
 

@@ -70,7 +70,7 @@ class PosesGiven:
 
 
 def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options: CalibrationOptions | None = None) -> PosesGiven | None:
-    """The sets of effects that the poses show beside those that something else states.
+    """The sets of effects that the poses show in addition to those stated elsewhere.
 
     Parameters
     ----------

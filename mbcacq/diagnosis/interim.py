@@ -57,7 +57,7 @@ class InterimEvidence:
     def hiding(self, limit_mm: float | None = None) -> dict[str, float]:
         """The effects that could hide at their typical size, as ``name:where``, and the share of the catalogue that each stands for.
 
-        limit_mm: of an error of length that matters (95 % of lengths in the workspace); an effect as large as it could be that does less
+        limit_mm: of an error of length that matters (95 % of lengths in the workspace); an effect whose largest possible size does less
         counts as excluded.
         """
         out: dict[str, float] = {}

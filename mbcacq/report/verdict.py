@@ -191,7 +191,7 @@ def next_action(
     plan: str = "",
 ) -> Action:
     """The one thing to do next, with a command that can be pasted. name: of the run folder or the data; with_effects: the folder of the
-    result with the effects that were found, where ``result`` is that one; plan: the plan of the run, '' if the data have none."""
+    result with the effects found, if ``result`` is that one; plan: the plan of the run, '' if the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
     if of_flange_poses(result) or result.get("length_instrument"):
