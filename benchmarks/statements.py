@@ -68,6 +68,15 @@ def odds_against_words(d: Diagnosis, text: str) -> Iterator[str]:
             yield f"{heading}: excluded"
 
 
+def alternatives_against_effects(d: Diagnosis, text: str) -> Iterator[str]:
+    """What is stated stands in no other's place."""
+    for effect in d.effects:
+        here = {name.partition("(")[0] for name in effect.parameters}
+        for other in (a for a in effect.alternatives if a.name == effect.name == UNKNOWN):
+            if here & set(other.where):
+                yield f"{effect.name} at {', '.join(other.where)} is stated and in the place of itself"
+
+
 def gains_against_what_is_kept(d: Diagnosis, text: str) -> Iterator[str]:
     """What removes nothing removes no share; what is advised to be calibrated with is kept; what all effects remove is not nothing."""
     held = d.fit.held_out
@@ -137,6 +146,7 @@ def text_against_json(d: Diagnosis, text: str) -> Iterator[str]:
 RULES: tuple[Rule, ...] = (
     verdict_against_effects,
     odds_against_words,
+    alternatives_against_effects,
     gains_against_what_is_kept,
     figures_against_counts,
     uncertainty_against_held_out,

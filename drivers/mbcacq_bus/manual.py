@@ -33,12 +33,12 @@ class ManualPositioner(ContextDevice):
         return not self._options.assume_yes
 
     def connect(self) -> None:
-        """Raises ConfigError where nobody can be asked."""
+        """Raises ConfigError if nobody can be asked."""
         self._stopped.clear()
         self.refuse_unattended()
 
     def refuse_unattended(self) -> None:
-        """Raises ConfigError where nobody can be asked; opens nothing."""
+        """Raises ConfigError if nobody can be asked; opens nothing."""
         if not self._options.assume_yes and not is_interactive():
             raise ConfigError(
                 "the manual positioner must ask an operator, but standard input is not a terminal; "

@@ -98,7 +98,7 @@ class ModbusLink:
     def write(self, register: Register, value: float, urgent: bool = False) -> None:
         """Write a value in its unit. urgent: whoever waits for a line to fall silent makes room.
 
-        Raises ValueError where it does not fit, ConnectError, DeviceTimeout, DeviceFault.
+        Raises ValueError if it does not fit, ConnectError, DeviceTimeout, DeviceFault.
         """
         request = self._writing(register, value)
         if urgent:

@@ -47,7 +47,7 @@ class Plausibility:
     def checked(
         self, device: str, values: dict[str, float], again: Callable[[], dict[str, float]], now: Callable[[], float]
     ) -> dict[str, float]:
-        """A reading, or that of ``again`` where it cannot follow the last one. Raises DeviceFault where the second cannot either."""
+        """A reading, or that of ``again`` where it cannot follow the last one. Raises DeviceFault if the second cannot either."""
         first = self.doubt(values, now())
         if first is not None:
             values = again()

@@ -40,7 +40,7 @@ class FolderScanner(ContextDevice):
         self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
 
     def use_outputs(self, set_output: Callable[[int, bool], None] | None, numbers: Sequence[int]) -> None:
-        """The robot's ``set_output(number, value)``, or None where its driver switches none, and which it may switch. Raises ConfigError
+        """The robot's ``set_output(number, value)``, or None if its driver switches none, and which it may switch. Raises ConfigError
         where another one is needed."""
         self._trigger.use_outputs(set_output, numbers)
 
@@ -54,7 +54,7 @@ class FolderScanner(ContextDevice):
         )
 
     def connect(self) -> None:
-        """Raises ConnectError where there is no such folder, or nobody to trigger; ConfigError without a reader of clouds."""
+        """Raises ConnectError if there is no such folder, or nobody to trigger; ConfigError without a reader of clouds."""
         self.close()
         self._stop.clear()
         if self._options.read_cloud is None:
@@ -67,7 +67,7 @@ class FolderScanner(ContextDevice):
     def capture(self, exposure_us: float | None = None) -> Scan:
         """CloudTrigger, wait for a new cloud, read it. The exposure is the program's own; ``exposure_us`` is not used.
 
-        Raises ConnectError, DeviceTimeout where no new cloud was written whole in time, DeviceFault for one that cannot be read,
+        Raises ConnectError, DeviceTimeout if no new cloud was written whole in time, DeviceFault for one that cannot be read,
         ProtocolError for another reply to the trigger, Aborted after ``stop``.
         """
         if not self._connected:
@@ -91,7 +91,7 @@ class FolderScanner(ContextDevice):
         self._connected = False
 
     def _files(self) -> dict[Path, Written]:
-        """Every file of the pattern, with what says whether it changes. Raises ConnectError where the folder is gone."""
+        """Every file of the pattern, with what says whether it changes. Raises ConnectError if the folder is gone."""
         out: dict[Path, Written] = {}
         try:
             for path in self._options.folder.iterdir():

@@ -30,7 +30,7 @@ class CloudTrigger:
             raise ConfigError(f"{self._name}: trigger.reply is no pattern ({error}); correct the plan") from error
 
     def use_outputs(self, set_output: Callable[[int, bool], None] | None, numbers: Sequence[int]) -> None:
-        """How the robot's outputs are switched, and which may be; None where its driver cannot. Raises ConfigError where one is needed."""
+        """How the robot's outputs are switched, and which may be; None if its driver cannot. Raises ConfigError if one is needed."""
         self._set_output, self._numbers, output = set_output, tuple(numbers), self._options.output
         if output is not None and set_output is None:
             raise ConfigError(

@@ -22,7 +22,7 @@ def library_of(source: Path, folder: Path) -> Path:
 
 
 def build(source: Path, folder: Path) -> Path | None:
-    """The library, compiled into ``folder``; None where it cannot be made. An earlier one is removed."""
+    """The library, compiled into ``folder``; None if it cannot be made. An earlier one is removed."""
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None or sys.platform == "win32":
         return None

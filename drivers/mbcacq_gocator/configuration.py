@@ -31,7 +31,7 @@ _ADDED_BY_SENSOR = {"min", "max", "minSource", "maxSource", "options", "used", "
 
 
 class Configuration:
-    """One reading of ``_live.cfg``. Raises ProtocolError where the file is not what a sensor serves."""
+    """One reading of ``_live.cfg``. Raises ProtocolError if the file is not what a sensor serves."""
 
     def __init__(self, data: bytes) -> None:
         self._root = xmlfile.parse(data, "configuration", "Configuration")

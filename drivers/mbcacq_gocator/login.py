@@ -16,7 +16,7 @@ _REQUEST = struct.Struct("<i64s")
 def log_in(control: ControlChannel, password: str) -> None:
     """Needed on every new control connection. Does nothing where security is off.
 
-    Raises ConnectError where a password is needed and none is given, ConfigError where it is refused.
+    Raises ConnectError if a password is needed and none is given, ConfigError if it is refused.
     """
     states = information.parse_states(control.request(commands.STATES))
     secured = states.get("security", bool(password))  # firmware 4.x does not say

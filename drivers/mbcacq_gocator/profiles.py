@@ -97,7 +97,7 @@ class ProfileStream:
 
 
 def block_of(data: DataSet) -> ProfileBlock | None:
-    """The profiles of a data set, copied; None where it has none. Raises ProtocolError where stamps and profiles do not agree."""
+    """The profiles of a data set, copied; None if it has none. Raises ProtocolError if stamps and profiles do not agree."""
     profiles = [array for array in data.arrays if array.type in (PROFILE_POINTS, UNIFORM_PROFILE)]
     if not profiles:
         return None

@@ -22,7 +22,7 @@ _SOURCES = {0: "top", 1: "bottom", 2: "top left", 3: "top right"}
 def scan_surface(arrays: Iterable[ArrayMessage]) -> ArrayMessage | None:
     """The scanner's own surface, a point cloud before a uniform surface; None if there is no surface at all.
 
-    Raises ConfigError where only tools made surfaces, or where several surfaces could be the scan.
+    Raises ConfigError if only tools made surfaces, or where several surfaces could be the scan.
     """
     surfaces = [array for array in arrays if array.type in (SURFACE_POINTS, UNIFORM_SURFACE)]
     own = _own(surfaces)

@@ -16,7 +16,7 @@ MAX_SIZE, MAX_DEPTH, MAX_PARTS = 4 * 2**20, 64, 100_000  # a live configuration 
 
 
 class _BoundedXml(ElementTree.TreeBuilder):
-    """Raises ProtocolError where elements are nested too deep, or elements and attributes are too many."""
+    """Raises ProtocolError if elements are nested too deep, or elements and attributes are too many."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -19,7 +19,7 @@ def flags_in(text: str) -> set[int]:
 
 
 def with_flags_from(first: int, files: Mapping[str, str]) -> dict[str, str]:
-    """The files with their five flags numbered from ``first`` on. Raises ConfigError where another program uses one of them."""
+    """The files with their five flags numbered from ``first`` on. Raises ConfigError if another program uses one of them."""
     for number in range(first, first + COUNT):
         if number in OTHERS:
             raise ConfigError(
@@ -32,7 +32,7 @@ def with_flags_from(first: int, files: Mapping[str, str]) -> dict[str, str]:
 
 
 def _check(files: Mapping[str, str], ours: range) -> None:
-    """Raises AssertionError where a file uses a flag that it should not."""
+    """Raises AssertionError if a file uses a flag that it should not."""
     for name, text in files.items():
         if strange := flags_in(text) - set(ours):
             raise AssertionError(f"{name} uses $FLAG[{min(strange)}], which is none of its own")

@@ -63,7 +63,7 @@ class OpcUaLink:
         self.facts: dict[str, Any] = {}  # the last good value of what is watched
 
     def connect(self) -> None:
-        """Returns once the robot was found, or ``on_error`` was called. Raises ConfigError where the password is missing."""
+        """Returns once the robot was found, or ``on_error`` was called. Raises ConfigError if the password is missing."""
         self._client()  # made once more where it is used; what the plan lacks is said here
         self._thread = threading.Thread(target=self._work, name="opcua", daemon=True)
         self._thread.start()

@@ -27,7 +27,7 @@ class NoSuchRobot(Exception):
 
 @dataclass
 class RobotNodes:
-    """names: browse names of the axes; units: of each, 'deg', 'rad' or what the server states instead, '' where it states none; about: what
+    """names: browse names of the axes; units: of each, 'deg', 'rad' or what the server states instead, '' if it states none; about: what
     it says of itself; safety: nodes of emergency and protective stop, by name; watched: model, serial number and payload, as far as
     it has them."""
 
@@ -152,7 +152,7 @@ async def _child(node: Node, *path: str) -> Node | None:
 
 
 async def _value(node: Node, *path: str) -> Any:
-    """A value below a node, or None where it has none, or none that is good."""
+    """A value below a node, or None if it has none, or none that is good."""
     found = await _child(node, *path)
     try:
         return None if found is None else await found.read_value()

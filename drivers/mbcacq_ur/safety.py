@@ -31,7 +31,7 @@ STOPS = (  # bits of safety_status_bits, the gravest first
 
 
 def safety_stop(values: Mapping[str, Any]) -> str:
-    """Why the arm may not move, as a predicate with what to do; '' where its safety is normal or reduced."""
+    """Why the arm may not move, as a predicate with what to do; '' if its safety is normal or reduced."""
     bits = int(values["safety_status_bits"])
     for bit, what, remedy in STOPS:
         if bits >> bit & 1:

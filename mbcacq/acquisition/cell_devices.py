@@ -90,7 +90,7 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
 
 def hand_on_outputs(robot: Robot, scanner: Scanner) -> None:
     """Give a scanner that can be triggered by a digital output of the robot (``use_outputs``) what switches one (``set_output``), and the
-    numbers of those that the plan allows (``digital_outputs``). Raises ConfigError where the scanner needs one that the robot has not."""
+    numbers of those that the plan allows (``digital_outputs``). Raises ConfigError if the scanner needs one that the robot has not."""
     if (use_outputs := getattr(scanner, "use_outputs", None)) is not None:
         use_outputs(getattr(robot, "set_output", None), tuple(getattr(robot, "digital_outputs", ())))
 
@@ -129,7 +129,7 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     The driver names further facts of the model that it needs in ``plan_facts``. 'kinematics' gives rows (sign, theta_deg, d_mm, a_mm,
     alpha_deg, beta_deg). 'dynamics' gives acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not
     state them. 'controller_joints' gives controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the
-    plan has them. 'follow' gives follow: True where the plan says so; the driver then never moves the arm. Raises ConfigError where the
+    plan has them. 'follow' gives follow: True where the plan says so; the driver then never moves the arm. Raises ConfigError if the
     plan asks the driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
@@ -175,7 +175,7 @@ def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = Non
 
 
 def refuse_equal_names(sensors: Sequence[Sensor]) -> None:
-    """Raises ConfigError where two sensors deliver a value of one name."""
+    """Raises ConfigError if two sensors deliver a value of one name."""
     owner: dict[str, int] = {}
     for number, sensor in enumerate(sensors, 1):
         for field in sensor.describe().fields:

@@ -43,7 +43,7 @@ def refuse_impossible_devices(loaded: LoadedPlan) -> None:
 
 
 def refuse_unattended(loaded: LoadedPlan, assume_yes: bool = False) -> None:
-    """Raises ConfigError where a device must ask a person who is not there (``refuse_unattended`` of its driver says so): before the arm is
+    """Raises ConfigError if a device must ask a person who is not there (``refuse_unattended`` of its driver says so): before the arm is
     allowed to move, and before anything is opened. assume_yes: a person who moves the artefacts is not asked."""
     for role, make in device_makers(loaded).items():
         if role == "positioner" and assume_yes:

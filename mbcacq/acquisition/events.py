@@ -189,7 +189,7 @@ class Gap(Event):
 
 @dataclass(frozen=True)
 class Message(Event):
-    """level: 'info', 'warning' or 'error'. source: who says it; OPERATOR: it tells a person what to do next."""
+    """level: 'info', 'warning' or 'error'. source: its sender; OPERATOR: it tells a person what to do next."""
 
     level: str
     text: str

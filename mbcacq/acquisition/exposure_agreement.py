@@ -23,7 +23,7 @@ class ExposureAgreement:
         self._scatter_mm: list[float] = []
 
     def majority(self, found: Sequence[Centres]) -> list[int] | None:
-        """Indices of the exposures that agree, where they are more than half of all; None where no such majority exists."""
+        """Indices of the exposures that agree, where they are more than half of all; None if no such majority exists."""
         if len(found) < 2:
             return list(range(len(found)))
         limits = self._limits(found)

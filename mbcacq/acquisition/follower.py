@@ -49,7 +49,7 @@ class Follower:
         """Which way the arm takes is up to whoever moves it."""
 
     def go(self, target: np.ndarray) -> RobotState:
-        """Wait until the arm stands near ``target`` (n,) rad. Raises DeviceTimeout where it does not in time, and as the driver."""
+        """Wait until the arm stands near ``target`` (n,) rad. Raises DeviceTimeout if it does not in time, and as the driver."""
         self._bus.state("waiting")  # the sentence stands on the terminal instead of the bar
         self._say(f"bring the arm to {_angles(target)}")
         if self._lead is not None:

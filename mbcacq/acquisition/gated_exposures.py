@@ -1,4 +1,4 @@
-"""The exposures of one pose: each is judged as it comes, and taken again where it contradicts the plan or the others."""
+"""The exposures of one pose: each is judged as it comes, and taken again if it contradicts the plan or the others."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class GatedExposures:
         self._prediction = ViewPrediction(self.loaded.cell, plan.station_tolerance_mm, self.options)
 
     def take(self, pose: PlannedPose, q: np.ndarray, first: bool) -> tuple[list[Centres], str]:
-        """The exposures of a pose that agree, and ''; or what they contradict, as a clause, where it is to be left out.
+        """The exposures of a pose that agree, and ''; or, if the pose is to be left out, what they contradict, as a clause.
 
         q: (n,) rad as reached; ``first`` at its station. Raises Misplaced, and what the scanner raises.
         """

@@ -51,7 +51,7 @@ class PoseMeasurement:
     def measure(self, pose: PlannedPose, first: bool = False) -> bool:
         """Move to a pose and measure it, ``first`` at its station. Returns whether enough balls were found.
 
-        The pose is measured a second time where the arm moved during the exposures. Raises Misplaced, SafetyStop where the arm moved
+        The pose is measured a second time where the arm moved during the exposures. Raises Misplaced, SafetyStop if the arm moved
         both times, and what the devices raise.
         """
         about = (pose.number, pose.station, pose.phase, pose.step_name)

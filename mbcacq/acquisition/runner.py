@@ -148,7 +148,7 @@ class Runner:
         return f"all poses measured{few}; {collector.count} robot cycles{late}{lost}{again}"
 
     def _measure_poses(self, measurement: PoseMeasurement, mover: Mover | Follower) -> int:
-        """Returns how many poses were left out. Raises DeviceFault where these become too many."""
+        """Returns how many poses were left out. Raises DeviceFault if these become too many."""
         station = step = None
         missed = 0
         for pose, path in zip(self.poses, self.paths, strict=True):

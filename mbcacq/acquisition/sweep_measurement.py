@@ -29,7 +29,7 @@ def take_sweep(
 ) -> Profiles:
     """Move forth and back from the pose, at which the arm stands, and return what was seen meanwhile.
 
-    Raises SafetyStop where the arm does not arrive, and what the scanner raises; the scanner is at rest again in every case.
+    Raises SafetyStop if the arm does not arrive, and what the scanner raises; the scanner is at rest again in every case.
     """
     step = loaded.plan.steps[pose.step]
     assert isinstance(step, Sweep), "a pose has a sweep if its step has"

@@ -18,7 +18,7 @@ STEP = 1e-6  # of the numerical derivative, mm and rad
 
 
 class ViewPrediction:
-    """Knows hand-eye and station as well as the poses so far tell."""
+    """Estimates hand-eye and station from the poses so far."""
 
     def __init__(self, cell: Cell, station_tolerance_mm: float, options: GateOptions) -> None:
         o, self._cell, self._options = options, cell, options

@@ -135,7 +135,7 @@ def _hand_eye(cell: CalibratedCell) -> CalibratedCell:
 
 
 def changed_while_recorded(obs: Observations, displaced: tuple[tuple[Term, np.ndarray], ...] = ()) -> ChangeFound | None:
-    """The change that a recording shows with its arm as described, whose links err at random; None where poses are too few to say.
+    """The change that a recording shows with its arm as described, whose links err at random; None if poses are too few to say.
 
     displaced: effects that are known, as ``CalibrationOptions`` has them.
     """

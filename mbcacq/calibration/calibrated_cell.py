@@ -43,14 +43,14 @@ class CalibratedCell(CellEstimate):
     """A calibrated cell, whether it was just computed or read from result.json. Lengths mm, angles rad.
 
     Attributes ---------- robot : str Name of the arm. nominal : Chain The arm as described. limits : ndarray or None (n, 2) rad, smallest
-    and largest angle of each axis; None where the result does not have them. state : CellState The arm with its errors, T_flange_scanner
+    and largest angle of each axis; None if the result does not have them. state : CellState The arm with its errors, T_flange_scanner
     (4, 4), T_base_station (S, 4, 4), balls (K, 3) mm. preliminary : CellState Nominal arm, hand-eye fitted alone. stations, ball_ids :
     tuple Ids of the S stations and the K balls. layout : ParameterLayout Names and freedom of the parameters. covariance : ndarray (g, g)
     of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame). noise : Noise Noise of a
     centre and of the joints. effects : EffectModel or None What the arm does beyond its geometry, free or held: parametric, unmodelled, and
     the smooth discrepancy of the joints. simulated : bool Whether a fake cell or a model made the data, and no real arm was measured. extra
     : mapping Further content of result.json, such as warnings; all of it if the cell was read from a file. own_fit : ObservationFit or None
-    The observations that it was calibrated from; None where it was read from result.json. See ``fit``. own_adjustment : Adjustment or None
+    The observations that it was calibrated from; None if it was read from result.json. See ``fit``. own_adjustment : Adjustment or None
     The converged adjustment, while the cell is being calibrated; None afterwards. See ``adjustment``. calibrate_again : callable or None
     Calibrates observations under options with a model of effects, as this cell was calibrated.
     """
@@ -197,7 +197,7 @@ class CalibratedCell(CellEstimate):
 
     @property
     def fit(self) -> ObservationFit:
-        """The observations that it was calibrated from, with residuals and weights. Raises ConfigError where the cell was read from
+        """The observations that it was calibrated from, with residuals and weights. Raises ConfigError if the cell was read from
         result.json, which does not hold them."""
         if self.own_fit is None:
             raise ConfigError("this calibrated cell was read from its result, which holds no observations; calibrate the recording again")

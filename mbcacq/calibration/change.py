@@ -64,7 +64,7 @@ class ChangeEvidence:
     log_e : float
         Logarithm of the e-value of all changes, -inf where none was looked for.
     found : ChangeFound or None
-        The change; None where what the recording shows has a probability of ``false_alarms`` without one.
+        The change; None if what the recording shows has a probability of ``false_alarms`` without one.
     second_moment : (g, g) ndarray or None
         Second moment of the errors of an estimate that ignores a change: averaged over kinds, moments and sizes.
     """

@@ -17,7 +17,7 @@ class ChangeFound(AsJson):
     Attributes
     ----------
     kind, where : str
-        'mount', 'scanner', 'scale', 'joint', 'station' or 'ball'; which one, '' where there is one only.
+        'mount', 'scanner', 'scale', 'joint', 'station' or 'ball'; which one, '' if there is one only.
     before, after : int
         Numbers of the poses, as recorded, between which it happened; a range where several moments are as probable.
     nth, poses, station : int, int, str

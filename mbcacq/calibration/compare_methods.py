@@ -160,7 +160,7 @@ def posture_range(obs: Observations) -> float:
 
 
 def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, seed: int) -> float:
-    """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError where the rest
+    """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError if the rest
     does not determine the method's unknowns."""
     rng = np.random.default_rng(seed)
     stations = np.unique(obs.station)
@@ -229,7 +229,7 @@ def by_poses(name: str) -> Callable[[Observations], CellState]:
 
 def _poses_of_both(obs: Observations, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The moving hand (K, 4, 4), the target seen by the eye (K, 4, 4) and the station (K,) of each pose. With a fixed scanner the
-    hand that moves is the base as the flange sees it. Raises CalibrationError where the poses do not determine the equations ``name``."""
+    hand that moves is the base as the flange sees it. Raises CalibrationError if the poses do not determine the equations ``name``."""
     where, eye = artefact_poses(obs)
     station = obs.station[where]
     if np.bincount(station).max() < LEAST_POSES:

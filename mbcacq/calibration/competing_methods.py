@@ -44,7 +44,7 @@ class HeldOutComparison(AsJson):
     chosen
         Name of the calibration that is to be published.
     robust_mm
-        The same without gross centres, which every calibration misses; the choice is by these. Empty where no centre is gross.
+        The same without gross centres, which every calibration misses; the choice is by these. Empty if no centre is gross.
     centres, robust_centres
         Number of all centres, and of those that are not gross.
     """
@@ -60,7 +60,7 @@ class HeldOutComparison(AsJson):
         return float(np.sqrt(np.mean((self.robust_mm if robust else self.rms_mm)[name] ** 2)))
 
     def sentence(self, own: str) -> str:
-        """For whoever gets another calibration than ``own``, which was asked for."""
+        """A sentence for a user who gets another calibration than the one asked for, ``own``."""
         judged = self.robust_mm or self.rms_mm
         better = int(np.sum(judged[self.chosen] < judged[own]))
         robust = (
@@ -128,7 +128,7 @@ def compared_on_held_out(
     Returns
     -------
     HeldOutComparison or None
-        None where the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
+        None if the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
     """
     obs = thin(obs, POSES) if obs.n_poses > POSES else obs
     masks, by_station = _blocks(obs)

@@ -74,7 +74,7 @@ def held_out(
     """Fit again and again without some poses, and predict those.
 
     size: poses held out of each random fit (default 30 %, at most 300). fits: 3 random ones, 5 blocks, or every station once.
-    Raises ConfigError for an unknown split, CalibrationError where too little is left to fit.
+    Raises ConfigError for an unknown split, CalibrationError if too little is left to fit.
     """
     options = options or CalibrationOptions()
     if split not in SPLITS:

@@ -1,7 +1,7 @@
 """Whether a recording is described as it was made: simple changes of its description, compared by a quick fit of the plain geometry.
 
-The fit is of hand-eye and stations, the arm as it is described, by the solver of every calibration without its noise: all centres count
-alike, then those that are closest, so that single wrong rows do not decide.
+The solver of every calibration fits hand-eye and stations to the arm as described, without its noise. All centres count alike, then the
+closest ones, so that single wrong rows do not decide.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def residual_mm(o: Observations, screening: bool = False) -> float:
 
 def wrong_length(o: Observations) -> str:
     """A sentence on a stated length that the poses of a flange contradict: the scale of the measured places that fits best, of all three
-    coordinates or of the one along the scanner's z; '' where it is 1 within its uncertainty, or most of the misfit stays with it. Links of
+    coordinates or of the one along the scanner's z; '' if it is 1 within its uncertainty, or most of the misfit stays with it. Links of
     an arm may err as a scale does, so that it is asked of poses of a flange alone; balls of one scan show a scale by their distances."""
     if not o.cell.robot.of_flange_poses or np.bincount(o.pose).max(initial=0) != 1 or o.n_centres < LEAST_CENTRES:
         return ""

@@ -260,7 +260,7 @@ def _w_last(R: np.ndarray) -> np.ndarray:
 
 
 def exchanged_balls(obs: Observations) -> str:
-    """A sentence on balls whose numbers are exchanged, by the distances between the balls of each scan; '' where the numbers agree with
+    """A sentence on balls whose numbers are exchanged, by the distances between the balls of each scan; '' if the numbers agree with
     them, or no exchange makes them agree."""
     measured = _mean_distances(obs)
     if measured is None:
@@ -279,7 +279,7 @@ def exchanged_balls(obs: Observations) -> str:
 
 
 def _matched(measured: np.ndarray, certified: np.ndarray, artefact: np.ndarray, agree: float) -> list[int] | None:
-    """Which certified ball of its artefact each measured one is, so that all distances (K, K) agree within ``agree`` mm; None where there
+    """Which certified ball of its artefact each measured one is, so that all distances (K, K) agree within ``agree`` mm; None if there
     is no such assignment. Ball after ball is assigned, and taken back where a distance to the balls before it does not fit."""
     order: list[int] = []
     choices = [iter(np.flatnonzero(artefact == artefact[0]))]

@@ -48,7 +48,7 @@ class NormalisedError:
 
     @property
     def usual(self) -> tuple[float, float] | None:
-        """Range of the rms in 95 % of recordings if the statement is true (chi square); None where that is not known."""
+        """Range of the rms in 95 % of recordings if the statement is true (chi square); None if that is not known."""
         if self.expected_rms is None or self.degrees_of_freedom is None:
             return None
         low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)

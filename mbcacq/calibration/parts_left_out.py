@@ -123,7 +123,7 @@ def parts_left_out(placed: CalibratedCell, model: EffectModel, cell: CalibratedC
     Returns
     -------
     PartsLeftOut or None
-        Figures of every centre; None where the model leaves out nothing in this recording, or where the
+        Figures of every centre; None if the model leaves out nothing in this recording, or where the
         parts do not determine base, tool and stations.
     """
     keep = some_poses(placed.fit.observations, MOST_POSES)

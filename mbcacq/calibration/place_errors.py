@@ -88,8 +88,8 @@ def arm_improvement(
 
     nominal, corrected: (P, n) rad, the joint angles that each pose was planned by and those that the arm was sent to. noise_mm: (P,) 3D
     standard deviation of one measured point. took_part: (P,) bool, whether the place took part in the calibration; None: not known. Places
-    that the calibration did not measure are judged where there are as many as a station needs, else all. None where no station has enough
-    poses. Raises CalibrationError where hand-eye and stations cannot be adjusted.
+    that the calibration did not measure are judged where there are as many as a station needs, else all. None if no station has enough
+    poses. Raises CalibrationError if hand-eye and stations cannot be adjusted.
     """
     measured = np.bincount(observations.pose, minlength=observations.n_poses) > 0
     counts = np.bincount(observations.station[measured], minlength=len(observations.cell.stations))

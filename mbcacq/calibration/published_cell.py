@@ -1,9 +1,9 @@
 """What is published of an adjusted cell: its notes, the nominal arm, a scale from one known length, effects with their estimates.
 
-Two kinds of cells have a larger covariance than their adjustment. The nominal arm has link errors that are uncertain and are not applied:
-who asked for the hand-eye alone goes on with the nominal arm, so every uncertainty is the second moment of the error about it. A scale from
-one known length is as uncertain as the length and as its mean over the scans. The hand-eye transform follows it; by how much is seen from a
-second adjustment with all lengths a little larger.
+Two kinds of cells have a larger covariance than their adjustment. The nominal arm has uncertain link errors that are not applied: a
+hand-eye calibration is used with the nominal arm, so every uncertainty is the second moment of the error about it. A scale from one known
+length is as uncertain as the length and as its mean over the scans. The hand-eye transform follows it; by how much is seen from a second
+adjustment with all lengths a little larger.
 """
 
 from __future__ import annotations

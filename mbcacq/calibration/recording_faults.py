@@ -1,4 +1,4 @@
-"""What simple fault while a recording was made explains its misfit: found by cheap tests, each of which has one story.
+"""Simple faults, made while a recording was measured, that explain its misfit. Each cheap test looks for one of them.
 
 A place that moved, a scanner that slipped or a joint that stepped at a moment are further columns of the linear problem. Their gain of chi
 square follows from the solution without another fit, and so does that of a pose that is left out (Cook 1977; Belsley, Kuh, Welsch 1980).
@@ -47,7 +47,7 @@ class Story:
     freedom : float
         Parameters it takes, and what the choice of its moment or pose is worth.
     pose : int or None
-        Number of the pose that it is about, None where it is about no single one.
+        Number of the pose that it is about, None if it is about no single one.
     """
 
     kind: str
@@ -181,7 +181,7 @@ def with_joint_noise_check(cell: CalibratedCell) -> CalibratedCell:
 def joint_noise_check(solution: Solution, noise: Noise, covariance: np.ndarray) -> dict[str, Any] | None:
     """Factor by which the estimated joint noise exceeds the arm's data sheet, if by far, and the pose that explains it, if one does.
 
-    covariance: (g, g) of the parameters, as stated. None where the noise is credible or the data sheet is silent.
+    covariance: (g, g) of the parameters, as stated. None if the noise is credible or the data sheet is silent.
     """
     obs, names = solution.lineariser.obs, solution.lineariser.layout.names
     allowed = first_noise(obs.cell).joint
@@ -202,7 +202,7 @@ def joint_noise_check(solution: Solution, noise: Noise, covariance: np.ndarray) 
 
 
 def _explaining_pose(strict: Solution, deleted: Deletion) -> int | None:
-    """Index of the pose whose deletion takes most of the misfit away, by an F test; None where there is none."""
+    """Index of the pose whose deletion takes most of the misfit away, by an F test; None if there is none."""
     weights, lineariser = strict.weights, strict.lineariser
     used = weights.centre * weights.pose[lineariser.obs.pose]
     dof = lineariser.rows.width * float(used.sum()) + strict.prior.rows - lineariser.layout.size - int(strict.normal.station_rank.sum())

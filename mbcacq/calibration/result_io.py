@@ -54,7 +54,7 @@ ONE_VIEW = "one target at a pose does not tell their shares apart"
 
 
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
-    """The effects of a result; None where it is geometry alone. Raises ConfigError where they are damaged."""
+    """The effects of a result; None if it is geometry alone. Raises ConfigError if they are damaged."""
     return EffectModel.from_dict(result["effects"]) if result.get("effects") else None
 
 
@@ -74,7 +74,7 @@ def state_from_dict(content: Mapping[str, Any], cell: Cell | None = None, *, oth
 def layout_of(file: ResultFile, source: str = THE_RESULT) -> ParameterLayout:
     """Names and freedom of the parameters of a result: blocks of chain, hand-eye and balls, and one of all effects, if there are any.
 
-    Raises ConfigError where the names are in another order.
+    Raises ConfigError if the names are in another order.
     """
     free, reported = set(file.names), {p.name: p for p in file.parameters}
     groups = {
@@ -142,14 +142,14 @@ def joint_content(results: Sequence[dict[str, Any]], names: Sequence[str]) -> di
 
 
 def split_number(path: Path) -> tuple[Path, int | None]:
-    """The file and the number of the recording in it that a path like ``result.json#2`` names; None where it names none."""
+    """The file and the number of the recording in it that a path like ``result.json#2`` names; None if it names none."""
     found = re.fullmatch(r"(.+)#(\d+)", path.name)
     return (path, None) if path.exists() or not found else (path.with_name(found[1]), int(found[2]))
 
 
 def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: bool = False) -> Any:
-    """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
-    only what they share is asked for. Raises ConfigError where it is not said which, and where the content's checksum does not hold.
+    """The result of one recording in a joint result; any other content as it is. any_of_them: take the first without a number, for what all
+    of them share. Raises ConfigError if it is not said which, and where the content's checksum does not hold.
     """
     if isinstance(content, dict) and (sentence := newer_format(content.get("format"), (JOINT_FORMAT, FORMAT))):
         raise ConfigError(f"{file} {sentence}")
@@ -186,7 +186,7 @@ def caveats(result: Mapping[str, Any]) -> list[str]:
 
 
 def with_warnings(result: Mapping[str, Any]) -> list[str]:
-    """The caveats, and what the calibration warned of: for whoever takes a result further and did not see how it was made."""
+    """The caveats, and what the calibration warned of: for a reader of the result who did not see how it was made."""
     return [*caveats(result), *(str(warning) for warning in result.get("warnings") or ())]
 
 

@@ -49,7 +49,7 @@ def calibrate_together(
     reported. Its variance is the sum of that of the common value and that between recordings, as it holds on another day. 'day_to_day' of
     ``extra`` has the values of each coefficient in every recording.
 
-    Raises ConfigError where the recordings are not of one arm, CalibrationError where one contradicts its cell.
+    Raises ConfigError if the recordings are not of one arm, CalibrationError if one contradicts its cell.
     """
     options = options or CalibrationOptions()
     if options.method != "ml":

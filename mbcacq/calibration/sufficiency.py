@@ -174,7 +174,7 @@ def refuse_runaway(chain: Chain, nominal: Chain, options: CalibrationOptions) ->
 
 
 def refuse_other_arm(learnt: str, name: str, nominal: Chain, robot: RobotModel, other: str) -> None:
-    """Raises ConfigError where ``robot`` has another name or other nominal links than the arm learnt on, which is ``nominal`` as described.
+    """Raises ConfigError if ``robot`` has another name or other nominal links than the arm learnt on, which is ``nominal`` as described.
 
     learnt: what was learnt, as in 'the result is of'; other: what it is to be applied to, as in 'the recording'.
     """

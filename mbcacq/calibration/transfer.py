@@ -66,7 +66,7 @@ class Transfer(AsJson):
     place : str
         'fitted' (base, tool, stations of the recording) or 'known' (nothing).
     own_geometry : TransferFigures or None
-        Misfit of a geometric calibration of that recording itself, the best that geometry alone can do there; None where it cannot
+        Misfit of a geometric calibration of that recording itself, the best that geometry alone can do there; None if it cannot
         be had.
     normalised_error : NormalisedError or None
         Errors over their stated uncertainty. None with known places, since a result does not hold the correlation of the errors of its
@@ -79,13 +79,13 @@ class Transfer(AsJson):
         What was fitted to the recording, in words: of poses of a flange the place of the target alone, since the hand-eye transform is
         what is tried.
     robust : TransferFigures or None
-        ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None where there are none. All
+        ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None if there are none. All
         other figures are of every centre: what is tested does not choose by what.
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None
         ``with_effects`` of the centres at which every covariate of the effects is as it was where they were learnt, and of the others;
-        None where all centres are one of both.
+        None if all centres are one of both.
     inside_centres : int
         The number of the former.
     """
@@ -159,7 +159,7 @@ def check_transfer(
     """Try a calibrated cell on a recording. alone: the arm that geometry alone gave on the recording learnt from; by default the
     cell's own without its effects. With known places, poses at stations that the calibrated cell does not have are left out.
 
-    Raises ConfigError where the recording is of another arm or none of its stations is known, CalibrationError where it does not
+    Raises ConfigError if the recording is of another arm or none of its stations is known, CalibrationError if it does not
     determine its own places.
     """
     if place not in PLACES:
@@ -222,7 +222,7 @@ def check_transfer(
 def at_known_stations(obs: Observations, cell: CalibratedCell) -> tuple[Observations, tuple[str, ...]]:
     """The poses at stations whose places a calibrated cell has, and a sentence that names the other stations, if there are any.
 
-    Raises ConfigError where there is no pose at a known station.
+    Raises ConfigError if there is no pose at a known station.
     """
     places = cell.station_places
     known = np.array([s.id in places for s in obs.cell.stations])[obs.station]

@@ -54,7 +54,7 @@ def refitted(
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
     fit: calibrates observations under any options. hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled
-    effects are learnt from 3000 poses at most, evenly at random; the calibration is of these. Raises ConfigError where the effects are of
+    effects are learnt from 3000 poses at most, evenly at random; the calibration is of these. Raises ConfigError if the effects are of
     another arm, and what ``fit`` raises.
     """
     options = options or CalibrationOptions()
@@ -122,7 +122,7 @@ def _fitted_beside_held(obs: Observations, options: CalibrationOptions, model: E
 def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
     """The pattern that joints share in their own errors, by its evidence in a recording, where the groups for them have these sizes.
 
-    None where there is none, where the recording is too short to tell, or where the groups have one.
+    None if there is none, where the recording is too short to tell, or where the groups have one.
     """
     fitted, options = sized.fitted, sized.options
     known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
@@ -178,7 +178,7 @@ def _beside(alone: CalibratedCell, fitted: CalibratedCell) -> CalibratedCell:
 
 
 def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording: str = "the recording") -> None:
-    """Raises ConfigError where effects were learnt on another arm than that of a recording."""
+    """Raises ConfigError if effects were learnt on another arm than that of a recording."""
     refuse_other_arm("these effects were learnt on", model.robot.name, model.robot.chain, obs.cell.robot, recording)
 
 

@@ -87,7 +87,7 @@ class AdjustedImages:
 def adjust_images(board: Board, views: Sequence[BoardView], size: tuple[int, int], given: Intrinsics | None = None) -> AdjustedImages:
     """The target's poses in some views, and the intrinsics where none are given. size: (width, height) px of the images.
 
-    Raises CalibrationError where the images do not determine the intrinsics.
+    Raises CalibrationError if the images do not determine the intrinsics.
     """
     start = given or _first_intrinsics(board, views, size)
     problem = _Problem(board, views, estimated=given is None)

@@ -38,7 +38,7 @@ COLMAP = {
 
 
 def opencv() -> Any:
-    """The module ``cv2``. Raises ConfigError where it is not installed."""
+    """The module ``cv2``. Raises ConfigError if it is not installed."""
     try:
         import cv2
     except ImportError:
@@ -49,7 +49,7 @@ def opencv() -> Any:
 @dataclass(frozen=True)
 class Intrinsics:
     """focal, centre: (2,) px; distortion: (k,) as OpenCV orders them; fisheye: equidistant, with four coefficients; size: (width, height)
-    px, None where it is not known."""
+    px, None if it is not known."""
 
     focal: np.ndarray
     centre: np.ndarray

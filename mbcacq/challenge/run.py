@@ -54,7 +54,7 @@ class Challenger:
 
     @classmethod
     def of(cls, plan: Path, protocols: bool = False, folder: Path | None = None) -> Challenger:
-        """Raises ConfigError where the plan is wrong."""
+        """Raises ConfigError if the plan is wrong."""
         loaded = load(plan)
         poses = expand(loaded)
         return cls(loaded, poses, Gauge(loaded, poses), protocols, folder)

@@ -39,7 +39,7 @@ def summary(scores: Sequence[Score]) -> list[dict[str, Any]]:
 
 
 def row(kind: str, scores: Sequence[Score]) -> dict[str, Any]:
-    """Rates are over the challenges that count; None where there are none."""
+    """Rates are over the challenges that count; None if there are none."""
     count = [s for s in scores if s.counts]
     clean = [s for s in scores if not s.truth]
     shares = [s.share for s in count if s.share is not None]

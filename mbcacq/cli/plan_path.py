@@ -13,7 +13,7 @@ from mbcacq.errors import ConfigError
 
 
 class PlanPath(click.Path):
-    """A path; ``kuka`` or ``plans/kuka.yaml`` becomes the plan that came with the tool, where there is no such file."""
+    """A path; ``kuka`` or ``plans/kuka.yaml`` becomes the plan that came with the tool if there is no such file."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

@@ -52,7 +52,7 @@ class FirstSignal:
         sys.unraisablehook.first = self
 
     def came(self) -> BaseException | None:
-        """What the first signal raised, to whatever it was turned on its way."""
+        """The exception of the first signal, whatever it was turned into on its way."""
         return self._error() if self._number else None
 
     def dropped(self, error: BaseException | None) -> bool:
@@ -100,7 +100,7 @@ def end_in_order_on_signals(what: str = "the run") -> None:
 
 
 def ended_by_signal() -> BaseException | None:
-    """What the first signal raised, where one has come."""
+    """The exception of the first signal, if one has come."""
     handler = signal.getsignal(signal.SIGINT)
     return handler.came() if isinstance(handler, FirstSignal) else None
 

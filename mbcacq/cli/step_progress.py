@@ -21,7 +21,7 @@ COUNTED = re.compile(r"(\d+) of (\d+)$")
 
 
 def shortened(text: str, columns: int) -> str:
-    """The text, or its first words with an ellipsis where it is longer than so many columns."""
+    """The text, or its first words with an ellipsis if it is longer than so many columns."""
     if len(text) <= columns:
         return text
     cut = text[: columns - 1]

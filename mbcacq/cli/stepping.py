@@ -14,7 +14,7 @@ class KeyPause:
     """Waits for Enter on the terminal; 'q' ends the run, 'g' goes on without further questions."""
 
     def __init__(self) -> None:
-        """Raises ConfigError where nobody can press a key."""
+        """Raises ConfigError if nobody can press a key."""
         if not is_interactive():
             raise ConfigError("--step waits for a key before each pose, but standard input is not a terminal; leave it out or use one")
         self._stopped, self._free = threading.Event(), False

@@ -103,7 +103,7 @@ def _inner(a: np.ndarray, b: np.ndarray, rows: int) -> np.ndarray:
 
 
 def hyper_values(candidate: Candidate, count: int) -> list[float | None]:
-    """``count`` values of the effect's hyper-parameter over its range, or None where it has none."""
+    """``count`` values of the effect's hyper-parameter over its range, or None if it has none."""
     if candidate.hyper is None:
         return [None]
     values = candidate.hyper.values

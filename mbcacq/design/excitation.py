@@ -103,7 +103,7 @@ def design_excitation(
 ) -> Excitation:
     """The motion to be recorded after these recordings of the plan's robot.
 
-    Raises ConfigError where the recordings have no torque or are of another arm, or where no motion is free of collisions.
+    Raises ConfigError if the recordings have no torque or are of another arm, or where no motion is free of collisions.
     """
     robot = loaded.cell.robot
     if any(r.robot.n != robot.n for r in recordings):
@@ -135,7 +135,7 @@ class _Search:
         self.tried = 0
 
     def best(self) -> FourierMotion:
-        """The best of many drawn at random, improved joint by joint; free of collisions. Raises ConfigError where none is."""
+        """The best of many drawn at random, improved joint by joint; free of collisions. Raises ConfigError if none is."""
         drawn = sorted((self.within_limits(self.drawn(), grown=True) for _ in range(self.options.drawn)), key=self.criterion)
         free = [one for large in drawn[: self.options.begun] if (one := self.free(large, self.straight)) is not None]
         motion = min(free, key=self.criterion, default=None)
@@ -195,7 +195,7 @@ class _Search:
         return next((near for near in segments if near is not None), None)
 
     def free(self, motion: FourierMotion, time: np.ndarray) -> FourierMotion | None:
-        """The motion, or the largest smaller one about home that is free; None where even a small one is not."""
+        """The motion, or the largest smaller one about home that is free; None if even a small one is not."""
         for _ in range(self.options.shrinks):
             if self.obstruction(motion, time) is None:
                 return motion

@@ -43,7 +43,7 @@ def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg
     """Replace the plan's 'position' poses by ``count`` others at the same stations; the poses of its other phases stay and count.
 
     criterion: 'A' (mean variance of the certified distances at the verification poses; without such, of points all over the reach) or
-    'D' (volume of the parameters' confidence region). Raises ConfigError where the plan has no station to choose poses at, or fewer
+    'D' (volume of the parameters' confidence region). Raises ConfigError if the plan has no station to choose poses at, or fewer
     poses can be taken.
     """
     loaded, repairs = repaired(loaded)

@@ -33,7 +33,7 @@ class Simulated:
 def simulated_error(loaded: LoadedPlan, poses: Sequence[PlannedPose], seed: int = 1) -> Simulated | None:
     """Errors of random cells that are each recorded with noise, calibrated, and verified.
 
-    None where the plan has no verification poses, or does not suffice to calibrate.
+    None if the plan has no verification poses, or does not suffice to calibrate.
     """
     cells = OPTIONS.simulated_cells
     rng, observations, noise = np.random.default_rng(seed), planned_observations(loaded, poses), planned_noise(loaded, poses)

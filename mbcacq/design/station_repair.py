@@ -117,7 +117,7 @@ def _again(loaded: LoadedPlan, text: str) -> LoadedPlan:
 
 
 def _with_place(loaded: LoadedPlan, move: StationMove) -> str | None:
-    """The text with a station's translation_mm replaced, or None where it is not written as a list on one line."""
+    """The text with a station's translation_mm replaced, or None if it is not written as a list on one line."""
     assert move.place is not None
     index = next(i for i, s in enumerate(loaded.plan.stations) if str(s.id) == move.station)
     number = loaded.lines.get(("stations", index, "pose_in_base", "translation_mm"))
@@ -130,7 +130,7 @@ def _with_place(loaded: LoadedPlan, move: StationMove) -> str | None:
 
 
 def without_lines(loaded: LoadedPlan, numbers: set[int]) -> str | None:
-    """The text without the views that stand on these lines, one a line, or None where a step would lose its last one."""
+    """The text without the views that stand on these lines, one a line, or None if a step would lose its last one."""
     for index, step in enumerate(loaded.plan.steps):
         if isinstance(step, Look):
             own = [loaded.lines[("steps", index, "views", i)] for i in range(len(step.views))]

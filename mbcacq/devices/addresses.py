@@ -47,7 +47,7 @@ def _texts(options: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _loopback(text: str) -> bool | None:
-    """None where the text is no address."""
+    """None if the text is no address."""
     host = re.sub(r"^\w+://", "", text).strip("[]")
     host = re.sub(r"^([^:]+):\d+$", r"\1", host)
     if host == "localhost":

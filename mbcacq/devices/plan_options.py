@@ -56,7 +56,7 @@ def _fault(schema: type[BaseModel], error: Mapping[str, Any]) -> str:
 
 
 def _wanted(field: FieldInfo) -> str:
-    """What a value should be, '' where it is neither a number nor a choice nor a text."""
+    """What a value should be, '' if it is neither a number nor a choice nor a text."""
     kind: Any = field.annotation
     if get_origin(kind) in (Union, UnionType):
         kind = next(one for one in get_args(kind) if one is not NoneType)

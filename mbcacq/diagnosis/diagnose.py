@@ -45,7 +45,7 @@ def diagnose(
     formulas are proposed for unmodelled effects. refit: makes of the effects that are kept those of the diagnosis' ``model``, and says
     what is to be noted of it. minutes: when they are over the search ends, and what was compared by then is concluded from: the verdict is
     then ``cannot_tell``, with a note (None: it takes the time that it needs).
-    Raises CalibrationError where the data do not even determine the geometry, ConfigError where there are no joint angles.
+    Raises CalibrationError if the data do not even determine the geometry, ConfigError if there are no joint angles.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
     if first.cell.robot.of_flange_poses:

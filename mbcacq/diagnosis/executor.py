@@ -1,8 +1,8 @@
 """What a diagnosis is computed by: processes, the memory that they keep, and the time that they may take.
 
-The pool has workers, of which this process is one and the others are processes of their own (loky), for calls of the same kind. They are
-started anew, not forked, so that threads do no harm and every system has them. Inside a process that may have no children (a worker of a
-dask cluster), and with one worker, all calls are made here, one after the other: the answers are the same.
+The pool has workers for calls of the same kind: this process and further ones (loky). They are started anew, not forked, so that threads do
+no harm and every system has them. Inside a process that may have no children (a worker of a dask cluster), and with one worker, all calls
+are made here, one after the other: the answers are the same.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _unpacked(call: bytes) -> Any:
 class WorkerPool:
     """This process, which takes part, and ``workers`` - 1 others, which start while other work goes on and end with the context.
 
-    The others leave Ctrl-C to this process. Where one was killed the context raises CalibrationError.
+    The others leave Ctrl-C to this process. The context raises CalibrationError if one was killed.
     """
 
     @property
@@ -126,7 +126,7 @@ class WorkerPool:
 
     def begin(self, function: Callable[..., Any], *arguments: Iterable[Any], elsewhere: bool = False) -> Callable[..., list[Any]]:
         """A function that returns what ``map`` does, of ``answered`` if that is wanted. The other processes begin with their calls at once,
-        this one with its own when the answers are asked for. elsewhere: the others make all of the calls, where there are others.
+        this one with its own when the answers are asked for. elsewhere: the other processes, if any, make all of the calls.
         """
         # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
         # All calls of a process go together: what they share, and what is computed from it once, it has once.

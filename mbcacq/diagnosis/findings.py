@@ -34,7 +34,7 @@ Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_e
 @dataclass(frozen=True)
 class NotSeparable:
     """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. Several that stand
-    together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
+    together are joined by ' and '. odds: posterior probability of the second relative to the first; None if that was not computed.
     """
 
     later = ("odds",)
@@ -125,7 +125,7 @@ class EvidenceSummary:
 
     def part_of(self, labels: Collection[str]) -> ComparedSet | None:
         """The most probable set with those of some effects (``name:where``) that were compared here, and no other; else the most probable
-        one without any other; None where there is none.
+        one without any other; None if there is none.
         """
         each = [(one, {e.label for e in one.effects}) for one in self.sets]
         here = set().union(*(known for _, known in each)) & set(labels)
@@ -169,7 +169,7 @@ class Findings:
     def from_json(cls, content: Any) -> Self:
         """The diagnosis that ``to_json`` wrote; a None becomes not-a-number, keys that the format does not have are left out.
 
-        Raises ConfigError where the object has another format or lacks a key.
+        Raises ConfigError if the object has another format or lacks a key.
         """
         return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
 

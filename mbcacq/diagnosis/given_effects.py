@@ -70,7 +70,7 @@ class PosesGiven:
 
 
 def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options: CalibrationOptions | None = None) -> PosesGiven | None:
-    """The sets of effects that the poses show beside those that something else states.
+    """The sets of effects that the poses show in addition to those stated elsewhere.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def evidence_given(obs: Observations, stated: Sequence[ComparedEffect], options:
     Returns
     -------
     PosesGiven or None
-        None where no stated effect is a candidate of the poses with a single coefficient.
+        None if no stated effect is a candidate of the poses with a single coefficient.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[ComparedEffect]) -
 
 
 def coefficient_of(candidate: Candidate, parameters: Parameters) -> tuple[np.ndarray, np.ndarray] | None:
-    """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None where it does not follow.
+    """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None if it does not follow.
 
     The parameter must be in proportion to the coefficient, sign included: a width does not tell on which side of its motion a joint is.
     """

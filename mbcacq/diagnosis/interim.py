@@ -57,7 +57,7 @@ class InterimEvidence:
     def hiding(self, limit_mm: float | None = None) -> dict[str, float]:
         """The effects that could hide at their typical size, as ``name:where``, and the share of the catalogue that each stands for.
 
-        limit_mm: of an error of length that matters (95 % of lengths in the workspace); an effect as large as it could be that does less
+        limit_mm: of an error of length that matters (95 % of lengths in the workspace); an effect whose largest possible size does less
         counts as excluded.
         """
         out: dict[str, float] = {}
@@ -107,7 +107,7 @@ class InterimEvidence:
 def weigh(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> InterimEvidence:
     """Weigh all explanations of a recording, or of several of one arm together, as ``diagnose`` does, and validate nothing.
 
-    options: of the adjustment, as ``mbcacq.calibrate`` takes them. Raises CalibrationError where the data do not even determine the
+    options: of the adjustment, as ``mbcacq.calibrate`` takes them. Raises CalibrationError if the data do not even determine the
     geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]

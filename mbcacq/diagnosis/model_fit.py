@@ -65,7 +65,7 @@ class ModelFit:
     evidence : EvidenceFit
         The hypotheses that were compared, of a long recording on a part of it.
     estimated : EffectSet or None
-        The random effects with the coefficients that the evidence gives them; None where they stand at all locations.
+        The random effects with the coefficients that the evidence gives them; None if they stand at all locations.
     """
 
     model: EffectSet
@@ -88,9 +88,8 @@ class ModelFit:
         return self.joint.random_effects if self.estimated is None else (self.estimated.coefficients, self.estimated.covariance)
 
     def stated(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (k,) of a parametric effect and their covariance (k, k), with the random effects at all locations unknown beside it:
-        what these could do as well is in the uncertainty. A group at its own place of its own covariate is left out: what both have in
-        common is the effect.
+        """Coefficients (k,) of a parametric effect and their covariance (k, k), with unknown random effects at all locations, which widen
+        the covariance. A group at its own place of its own covariate is left out: what both have in common is the effect.
         """
         candidate, own = self.model.members[number].candidate, self.model.slices()[number]
         if not self.everywhere:

@@ -117,7 +117,7 @@ def squares_of_poses(linear: LinearProblem, scaled: np.ndarray) -> tuple[Squares
 
 
 def varying_most(obs: Observations, squares: SquaresOfPoses, of: str, sigma_mm: float) -> Variation | None:
-    """The variation with the covariate by which the squares vary most; None where it is no more than chance, or too little to matter."""
+    """The variation with the covariate by which the squares vary most; None if it is no more than chance, or too little to matter."""
     tried = [(name, unit, x, *squares.varying(x)) for name, unit, x in covariates(obs)]
     name, unit, x, variance, gain = max(tried, key=lambda one: one[4])
     p_value = min(float(chdtrc(1, max(gain, 0.0))) * len(tried), 1.0)

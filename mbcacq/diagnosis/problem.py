@@ -117,7 +117,7 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     """The recording adjusted as calibration does it: the same poses, outliers, noise and geometry.
 
     Several recordings of one arm are one problem: arm and effects are shared, base, tool, stations, artefacts and noise are not. Parameters
-    that the poses leave undetermined are held. Raises CalibrationError where a recording contradicts its cell, ConfigError where the
+    that the poses leave undetermined are held. Raises CalibrationError if a recording contradicts its cell, ConfigError if the
     recordings are not of one arm.
     """
     options = replace(options or CalibrationOptions(), refuse=False)

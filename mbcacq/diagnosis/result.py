@@ -180,18 +180,18 @@ class ExclusionLimit:
     parameter : str
         Its name, with the unit as suffix.
     value : float or None
-        None where the free geometry absorbs the effect.
+        None if the free geometry absorbs the effect.
     workspace_mm : float or None
         Largest error that it would make in the workspace, together with what would hide it here.
     length_mm : float or None
         Error of a length between two postures that 95 % of lengths do not exceed. Both are None for what depends on time or on single
         balls, and where the effect is not tested.
     in_usual_sizes : float or None
-        The limit relative to the effect's usual size; None where value is, and in older files.
+        The limit relative to the effect's usual size; None if value is, and in older files.
     tested : bool
         Whether the limit is within what machines have; a larger one says nothing.
     holds_for : ExclusionBand or None
-        The values of the effect's hyper-parameter for which the limit holds; None where it has none.
+        The values of the effect's hyper-parameter for which the limit holds; None if it has none.
     """
 
     later = ("in_usual_sizes", "tested", "holds_for")
@@ -255,7 +255,7 @@ class Diagnosis(Findings):
     not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
     were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
     unmodelled effects, where they were asked for, the most probable of each location first. noise_depends_on: where one noise for all
-    poses would be wrong. model: the effects as terms that a calibration takes; None where there is none. evidence: of the sets that were
+    poses would be wrong. model: the effects as terms that a calibration takes; None if there is none. evidence: of the sets that were
     compared; None in older files. plot_data: an ``output.pictures.PlotData``.
     """
 

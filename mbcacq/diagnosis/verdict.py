@@ -184,13 +184,16 @@ def names_explain(effects: Sequence[EffectFound], trends: bool = False) -> bool:
 
 
 def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
-    """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
-    locations of most evidence.
+    """The effects, each with the strongest others that could stand in its place. Unmodelled effects that stand at all locations have none:
+    they stand beside each other.
     """
     fit = full.evidence
     reported = reported_hypothesis(fit)
     out = []
     for effect in effects:
+        if full.everywhere and effect.name == UNKNOWN:
+            out.append(effect)
+            continue
         found: dict[str, float] = {}
         for where in effect.where if effect.name != UNKNOWN else effect.where[:1]:
             for label in labels_of(reported, effect.name, where):
@@ -198,10 +201,6 @@ def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[Ef
                     found[other] = max(odds, found.get(other, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [Alternative.of_label(label, odds) for label, odds in best]
-        if full.everywhere and effect.name == UNKNOWN:
-            first, *others = full.cells
-            odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
-            ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
 

@@ -24,7 +24,7 @@ def evidence(run: Path, anonymous: bool = False) -> dict[str, Any]:
     """What a run folder holds of it: devices as they described themselves, parts of the run, poses, gaps, the log, the plan, versions.
 
     anonymous: addresses, host names, users and serial numbers are replaced by ``(removed)`` wherever they stand.
-    Raises RecordingError where the folder holds no run.
+    Raises RecordingError if the folder holds no run.
     """
     journal = read_journal(run)
     entries = [entry for entry in journal if entry.get("event") != "pose_done"]

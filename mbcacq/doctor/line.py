@@ -12,7 +12,7 @@ Level = Literal["ok", "warning", "error"]
 
 @dataclass(frozen=True)
 class CheckupLine(AsJson):
-    """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' where all is well."""
+    """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' if all is well."""
 
     level: Level
     topic: str

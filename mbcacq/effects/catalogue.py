@@ -34,7 +34,7 @@ _added: ContextVar[Mapping[str, Effect]] = ContextVar("effects added for a while
 
 
 def effects() -> Mapping[str, Effect]:
-    """Name of the effect -> its module. Raises ConfigError where another package's module cannot be imported or is no effect."""
+    """Name of the effect -> its module. Raises ConfigError if another package's module cannot be imported or is no effect."""
     return MappingProxyType({**_effects(tuple(sys.path)), **_added.get()})
 
 
@@ -58,7 +58,7 @@ def with_added(some: Sequence[Added]) -> Iterator[None]:
     """While it lasts, these effects are in the catalogue too.
 
     some: files; modules, as ``kinds/`` has them; or functions of a context that return candidates, whose effect is called as the function
-    is. Raises ConfigError where one is no effect, or is called as another effect is.
+    is. Raises ConfigError if one is no effect, or is called as another effect is.
     """
     added = dict(_added.get())
     for one in some:
@@ -158,7 +158,7 @@ def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
 
 
 def _require_covariates(found: Sequence[Candidate], context: Context) -> None:
-    """Raises Missing where the recording lacks a covariate of which one of the candidates is a function."""
+    """Raises Missing if the recording lacks a covariate of which one of the candidates is a function."""
     for candidate in found:
         first = None if candidate.hyper is None else float(candidate.hyper.values[0])
         for name in {name for part in candidate.parts(first) for name in part.covariates}:
@@ -171,6 +171,6 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
 
 
 def periodic_in(channel: str) -> tuple[str, PeriodicInMotion] | None:
-    """The effect that is periodic in the angle of a joint in a channel of motion, and how; None where there is none."""
+    """The effect that is periodic in the angle of a joint in a channel of motion, and how; None if there is none."""
     found = [(name, p) for name in effects() if (p := declaration(name).periodic_in_motion) is not None and p.channel == channel]
     return found[0] if found else None

@@ -24,7 +24,7 @@ class Evaluation:
         self._known: dict[bool, Known] = {True: {}, False: {}}
 
     def __call__(self, columns: Sequence[Column], per_pose: bool) -> np.ndarray:
-        """(P, k) at the poses, or (M, k) at the centres. Raises Missing where the recording lacks a covariate."""
+        """(P, k) at the poses, or (M, k) at the centres. Raises Missing if the recording lacks a covariate."""
         values, rows = (self.value, self.obs.n_poses) if per_pose else (self.at_centres, self.obs.n_centres)
         return evaluate(columns, values, rows, self._known[per_pose])
 

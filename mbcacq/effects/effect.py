@@ -40,7 +40,7 @@ class Hyperparameter:
     Attributes
     ----------
     name : str
-        Under which it is reported, empty where it is not.
+        Under which it is reported, empty if it is not.
     values : ndarray
         (H,) values to try first.
     independent : float

@@ -106,7 +106,7 @@ class EffectModel:
         return tuple(t.beyond_learnt(here, self.learnt) for t in self.terms if t.ends)
 
     def displacements(self, obs: Observations) -> Displacements | None:
-        """What the effects displace at the poses and centres of a recording; None where there are none."""
+        """What the effects displace at the poses and centres of a recording; None if there are none."""
         return accumulate(obs, self.at(obs), self.coefficients) if self.terms else None
 
     def frames(self, chain: Chain, q: np.ndarray, obs: Observations | None = None) -> np.ndarray:
@@ -198,7 +198,7 @@ class EffectModel:
 
     @classmethod
     def of_file(cls, file: EffectModelFile, source: str = "the model of effects", key: str = "") -> EffectModel:
-        """The model that a file holds; source and key as of ``from_dict``. Raises ConfigError where an index in it is beyond the arm."""
+        """The model that a file holds; source and key as of ``from_dict``. Raises ConfigError if an index in it is beyond the arm."""
         check_effects(file, source, key)
         return cls(file.robot.robot, file.terms, file.learnt, file.measurement)
 

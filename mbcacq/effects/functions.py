@@ -27,7 +27,7 @@ def turned(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sine and cosine (H, P) of orders (H, 1), in ascending order, times an angle x (P,).
 
     A scan has hundreds of orders in equal steps, with a few that are preferred in between. The second half of a run of equal steps is the
-    first, turned by a fixed angle. Sums of products take a quarter of the time of a sine for each, though both are made, and are as exact.
+    first, turned by a fixed angle. Sums of products take a quarter of the time that a sine for each would take, and are as exact.
     """
     order = orders[:, 0]
     sine, cosine = np.empty((len(order), len(x))), np.empty((len(order), len(x)))

@@ -18,7 +18,7 @@ NO_TIME_CONSTANT = 1e-2  # sampling intervals; below, a filter passes its input
 
 @dataclass(frozen=True)
 class MotionSignals:
-    """One trajectory at equidistant times. Arrays (T, n), rad, rad/s, rad/s^2, N m on the joint side; None where not recorded.
+    """One trajectory at equidistant times. Arrays (T, n), rad, rad/s, rad/s^2, N m on the joint side; None if not recorded.
 
     q is the motor-side angle the controller reports; smooth, qd and qdd are the same and its rates by a zero-phase filter. q_set is the
     command with its rates qd_set, qdd_set, qddd_set. q_joint is the joint-side encoder (NaN columns where a joint has none). torque is the

@@ -17,7 +17,7 @@ from mbcacq.quantities import K
 
 
 def refusal(candidate: Candidate, robot: RobotModel, c: np.ndarray, covariance: np.ndarray) -> str:
-    """Why coefficients (k,) with covariance (k, k) cannot be what a candidate is called; empty where they can.
+    """Why coefficients (k,) with covariance (k, k) cannot be what a candidate is called; empty if they can.
 
     A bound holds against a coefficient that exceeds it by more than its expanded uncertainty (k = 2).
     """
@@ -30,7 +30,7 @@ def refusal(candidate: Candidate, robot: RobotModel, c: np.ndarray, covariance: 
 
 
 def joints_without_drive(candidate: Candidate, robot: RobotModel) -> str:
-    """In words, what the description says of the drive of a joint that cannot have an effect; empty where every joint can."""
+    """In words, what the description says of the drive of a joint that cannot have an effect; empty if every joint can."""
     permitted = declaration(candidate.name).drives
     if not permitted:
         return ""

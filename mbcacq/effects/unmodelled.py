@@ -56,7 +56,7 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
     """The group at a location (A1.., link1.., base, mount, target, the only station) by a covariate. It is the angle of a joint, its
-    movement from the pose before, a gravity torque, the order of the poses, or the incidence on the target. None where there is none.
+    movement from the pose before, a gravity torque, the order of the poses, or the incidence on the target. None if there is none.
     """
     keys = keys_of(here, location)
     if not keys:

@@ -47,7 +47,7 @@ class Undetermined:
 def determined(obs: Observations, options: CalibrationOptions, start: Estimate, noise: Noise | None) -> tuple[Solution, list[Undetermined]]:
     """The system at a start, with what the data leave undetermined held; under the stated noise if none is given.
 
-    Raises CalibrationError where that would matter elsewhere in the workspace, unless ``options.refuse`` is off.
+    Raises CalibrationError if that would matter elsewhere in the workspace, unless ``options.refuse`` is off.
     """
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)

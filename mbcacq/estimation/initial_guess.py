@@ -100,7 +100,7 @@ def hand_eye_candidates(obs: Observations, T_base_flange: np.ndarray) -> Iterato
 
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-    """T_flange_scanner (4, 4), or None where the poses do not determine it; an undetermined rotation is taken from the guess."""
+    """T_flange_scanner (4, 4), or None if the poses do not determine it; an undetermined rotation is taken from the guess."""
     pose, _, xyz = _points(obs)
     T = T_base_flange[pose]
     R, t = T[:, :3, :3], T[:, :3, 3]
@@ -126,7 +126,7 @@ def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, gue
 
 
 def target_and_stations(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Target on the flange (4, 4), and instrument in the base (S, 4, 4), one station after another; None where the poses do not determine
+    """Target on the flange (4, 4), and instrument in the base (S, 4, 4), one station after another; None if the poses do not determine
     them."""
     stations = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     targets = []

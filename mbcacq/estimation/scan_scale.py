@@ -37,7 +37,7 @@ class ScanScale:
 
 
 def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> ScanScale | None:
-    """From the centres where ``used`` (M,) bool holds; noise_mm: (3,) of one centre. None where no scan shows two balls of an artefact."""
+    """From the centres where ``used`` (M,) bool holds; noise_mm: (3,) of one centre. None if no scan shows two balls of an artefact."""
     if obs.cell.measurement == TARGET_IN_BASE:
         return None
     certified = [a for a, artefact in enumerate(obs.cell.artefacts) if artefact.certified]
@@ -54,7 +54,7 @@ def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> Sca
 
 def known_length_sigma(obs: Observations) -> float | None:
     """Standard uncertainty (relative) of a scale that was taken from one known length: that of the length, and that of its mean over the
-    scans, from their scatter. None where the scale is not from a known length."""
+    scans, from their scatter. None if the scale is not from a known length."""
     known = next((a.known_length for a in obs.cell.artefacts if a.known_length is not None), None)
     if known is None or obs.scale is None:
         return None
@@ -75,7 +75,7 @@ def measured_length(obs: Observations, balls: tuple[int, int]) -> tuple[float, f
 
 
 def scale_in_words(obs: Observations) -> str:
-    """Whose scale the calibrated cell has, where an artefact is not certified; '' where all are."""
+    """Whose scale the calibrated cell has, where an artefact is not certified; '' if all are."""
     unknown = [a for a in obs.cell.artefacts if not a.certified]
     if not unknown:
         return ""

@@ -102,7 +102,7 @@ def term(
     units: Sequence[str] | str = "",
     sigma: np.ndarray | float = np.inf,
 ) -> Term:
-    """A ``Term`` with its shapes checked; names default to NAME or NAME[j]. Raises ValueError where shapes disagree."""
+    """A ``Term`` with its shapes checked; names default to NAME or NAME[j]. Raises ValueError if shapes disagree."""
     k = {part.basis.shape[1] for part in parts}
     if len(k) != 1:
         raise ValueError(f"term {name}: its parts have different numbers of coefficients {sorted(k)}")

@@ -47,5 +47,5 @@ def _files(one: ExportFormat, exported: ExportedResult) -> Mapping[str, str | by
 
 
 def write_folder(files: Mapping[str, bytes], folder: Path) -> list[Path]:
-    """Write the files. Raises RecordingError where that fails."""
+    """Write the files. Raises RecordingError if that fails."""
     return write_files(folder, files)

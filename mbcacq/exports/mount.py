@@ -23,7 +23,7 @@ def is_target(result: Mapping[str, Any]) -> bool:
 
 
 def undetermined(result: Mapping[str, Any]) -> str:
-    """Which part of the frame on the flange was not determined, and why; '' where all of it was, or the user held it."""
+    """Which part of the frame on the flange was not determined, and why; '' if all of it was, or the user held it."""
     held = {m.group(2): why for name, why in (result.get("held") or {}).items() if (m := _MOUNT.fullmatch(name)) and why != ON_REQUEST}
     if not held:
         return ""

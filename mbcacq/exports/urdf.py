@@ -41,7 +41,7 @@ def patch(
     ``T_flange_scanner`` (4, 4) mm, in the flange frame of the MD-H chain, a fixed joint to ``scanner`` is added behind the flange, or
     its origin set where it exists. comments: put in front of the root element.
 
-    Raises ConfigError where the file does not describe this arm at its zero position, naming joint and misfit.
+    Raises ConfigError if the file does not describe this arm at its zero position, naming joint and misfit.
     """
     file = _parse(Path(path))
     named = {str(j.get("name")): j for j in file.root.iter("joint") if j.find("parent") is not None and j.find("child") is not None}

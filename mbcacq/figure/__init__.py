@@ -18,7 +18,7 @@ LARGEST_I4 = 2**31 - 1
 
 
 def drawing_library() -> str:
-    """The text of plotly.js. Raises ConfigError where the package was not built."""
+    """The text of plotly.js. Raises ConfigError if the package was not built."""
     try:
         return LIBRARY.read_text(encoding="utf-8")
     except OSError:

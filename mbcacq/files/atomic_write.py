@@ -303,7 +303,7 @@ def _remove(path: Path) -> None:
 
 
 def _prepare(partial: Path, target: Path) -> None:
-    """The temporary file on the disk, with the rights of the one that it replaces. Raises OSError where that one may not be written."""
+    """The temporary file on the disk, with the rights of the one that it replaces. Raises OSError if that one may not be written."""
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     if target.exists():

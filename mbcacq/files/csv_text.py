@@ -162,7 +162,7 @@ def _refuse_ragged(path: Path, headings: list[str], rows: list[list[str]], line:
 
 
 def _blanks_as_tabs(lines: Sequence[str], score: Callable[[Sequence[str]], tuple[int, bool]] | None) -> list[str] | None:
-    """A table whose columns stand apart by blanks, with tabs in their place; None where it has separators, or rows of different lengths.
+    """A table whose columns stand apart by blanks, with tabs in their place; None if it has separators, or rows of different lengths.
 
     Its headings may be behind a mark of comments (``# x y z``), a unit may stand apart from its name (``X [mm]``).
     """

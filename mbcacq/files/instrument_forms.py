@@ -21,14 +21,14 @@ _COORDINATES = 3
 
 
 def as_one_table(lines: Sequence[str]) -> list[str] | None:
-    """The same number of lines with headings and rows apart by tabs; None where the file is of no such form."""
+    """The same number of lines with headings and rows apart by tabs; None if the file is of no such form."""
     return _of_scope(lines) or _of_points(lines)
 
 
 def _of_scope(lines: Sequence[str]) -> list[str] | None:
     """An export of TwinCAT Scope: the names of the channels as headings, times in ms of the first channel.
 
-    None where channels have times of their own that differ: such rows belong to different moments.
+    None if channels have times of their own that differ: such rows belong to different moments.
     """
     if not any(SCOPE_MARK.search(line) for line in lines[:MARK_LINES]):
         return None

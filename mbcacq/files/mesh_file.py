@@ -45,7 +45,7 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def _announced_faces(path: Path) -> int:
-    """How many faces an STL or PLY file announces, 0 for other kinds. Raises ConfigError where the file is shorter than that."""
+    """How many faces an STL or PLY file announces, 0 for other kinds. Raises ConfigError if the file is shorter than that."""
     if path.suffix.lower() == ".ply":
         return sum(element.count for element in read_header(path).elements if element.name == "face")
     if path.suffix.lower() != ".stl":

@@ -11,7 +11,7 @@ from typing import Any
 def open3d() -> Any:
     """The package, silent but for errors.
 
-    It links libusb, which a bare Debian or Ubuntu lacks; then that of the package libusb-package is loaded before.
+    It links libusb. A bare Debian or Ubuntu lacks that library, so the one of the package libusb-package is loaded first.
     """
     try:
         import open3d as library

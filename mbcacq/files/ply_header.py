@@ -36,7 +36,7 @@ _PROPERTY = re.compile(rf"property (?:list {_TYPE} {_TYPE}|{_TYPE}) ([!-~]{{1,10
 
 @dataclass(frozen=True)
 class PlyProperty:
-    """type: as numpy calls it, of the entries for a list; counted: type of a list's length, '' where it is no list."""
+    """type: as numpy calls it, of the entries for a list; counted: type of a list's length, '' if it is no list."""
 
     name: str
     type: str

@@ -190,7 +190,7 @@ class Table:
         return self.dialect.encoded(hint + csv_text([*self.columns, *more], list(rows), self.dialect))
 
     def _decimals(self, name: str, cells: tuple[str, ...]) -> tuple[str, ...]:
-        """Cells with decimal points. Raises ConfigError where a number has a point beside decimal commas."""
+        """Cells with decimal points. Raises ConfigError if a number has a point beside decimal commas."""
         if not self.decimal_comma:
             return cells
         for row, cell in enumerate(cells):
@@ -363,7 +363,7 @@ def _take_units(table: Table, schema: TableSchema) -> None:
 
 
 def _units_below(table: Table) -> dict[str, str] | None:
-    """Heading -> unit of a first row that holds nothing but units, which is taken away; None where it is a row of data."""
+    """Heading -> unit of a first row that holds nothing but units, which is taken away; None if it is a row of data."""
     out: dict[str, str] = {}
     for heading, cells in table.columns.items():
         plain = cells[0].strip().strip("[]()")

@@ -90,7 +90,7 @@ class TableSchema:
 
 @dataclass(frozen=True)
 class HeadingMatch:
-    """A column of a file. heading: as in the file; unit: that it names, None where it names none; assumed: whether the unit stands in
+    """A column of a file. heading: as in the file; unit: that it names, None if it names none; assumed: whether the unit stands in
     ``Column.assumed`` alone."""
 
     heading: str
@@ -134,7 +134,7 @@ def coverage_factor(text: str) -> float | None:
 
 
 def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, HeadingMatch]:
-    """Column name -> its heading. Raises HeadingError where two headings are equally good, or a unit is of the wrong kind."""
+    """Column name -> its heading. Raises HeadingError if two headings are equally good, or a unit is of the wrong kind."""
     out: dict[str, HeadingMatch] = {}
     free = list(headings)
     for column in columns:
@@ -161,7 +161,7 @@ def score(columns: Sequence[Column], headings: Sequence[str]) -> tuple[int, bool
 
 @lru_cache(maxsize=4096)
 def _hit_of(column: Column, heading: str) -> tuple[int, str] | None:
-    """Rank (0 is best) and unit ('' where none is named) of a heading as this column; None where it is another."""
+    """Rank (0 is best) and unit ('' if none is named) of a heading as this column; None if it is another."""
     names = (column.name, *column.aliases)
     keys = _keys(column)
     for base, unit, bracket in _readings(column, heading):

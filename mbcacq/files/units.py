@@ -43,7 +43,7 @@ class AmbiguousUnit(ValueError):
 
 
 def unit_named(text: str) -> str | None:
-    """The unit that a text spells, in pint's words; None where it spells none. Raises AmbiguousUnit for 'Grad'."""
+    """The unit that a text spells, in pint's words; None if it spells none. Raises AmbiguousUnit for 'Grad'."""
     plain = text.strip()
     if plain.casefold() in AMBIGUOUS:
         raise AmbiguousUnit(AMBIGUOUS[plain.casefold()])
@@ -59,7 +59,7 @@ def unit_named(text: str) -> str | None:
 
 
 def number_with_unit(cell: str) -> tuple[float, str] | None:
-    """A number and the unit that stand in one cell: '90°', '0.4 m', '-pi/2'; None where the text is something else."""
+    """A number and the unit that stand in one cell: '90°', '0.4 m', '-pi/2'; None if the text is something else."""
     plain = cell.strip()
     if match := _PI.fullmatch(plain):
         divisor = float(match[3] or 1)
@@ -74,7 +74,7 @@ def number_with_unit(cell: str) -> tuple[float, str] | None:
 
 
 def unit_in_cells(cells: Sequence[str], wanted: str) -> str:
-    """The wanted unit, where all cells that are not zero state one of its kind ('-pi/2', '90°', '0.4 m'); '' where they do not."""
+    """The wanted unit, where all cells that are not zero state one of its kind ('-pi/2', '90°', '0.4 m'); '' if they do not."""
     own = [number_with_unit(cell) for cell in cells]
     stated = [pair[1] for pair in own if pair]
     silent = any(pair is None and not _ZERO.fullmatch(cell.strip()) for pair, cell in zip(own, cells, strict=True))
@@ -82,7 +82,7 @@ def unit_in_cells(cells: Sequence[str], wanted: str) -> str:
 
 
 def suffix_unit(text: str) -> str | None:
-    """The unit that a heading ends in; None where the text is no usual unit."""
+    """The unit that a heading ends in; None if the text is no usual unit."""
     try:
         unit = unit_named(text) if len(text) <= 12 else None
     except AmbiguousUnit:
@@ -117,7 +117,7 @@ def _registry() -> Any:
 
 @lru_cache(maxsize=4096)
 def _parsed(unit: str) -> Any:
-    """The unit of pint; None where the text is none."""
+    """The unit of pint; None if the text is none."""
     import pint
 
     try:

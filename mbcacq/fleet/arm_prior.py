@@ -25,7 +25,7 @@ LEAST = 1e-3  # of the first guess: arms that differ less are alike
 
 
 def read_priors(fleet: Path | str) -> tuple[ArmPrior, ...]:
-    """One prior for each type of arm of which the fleet has at least five. Raises ConfigError where it has none."""
+    """One prior for each type of arm of which the fleet has at least five. Raises ConfigError if it has none."""
     kinds = arm_types(read_table(Path(fleet)))
     found = tuple(prior for kind in kinds if (prior := learnt(kind)) is not None)
     if not found:
@@ -34,7 +34,7 @@ def read_priors(fleet: Path | str) -> tuple[ArmPrior, ...]:
 
 
 def learnt(kind: ArmType) -> ArmPrior | None:
-    """The prior of one type of arm; None where there are too few."""
+    """The prior of one type of arm; None if there are too few."""
     nominal = np.array(kind.rows[0].nominal).reshape(-1, len(PARAMETERS))
     names = [f"{p}_{i + 1}" for i in range(len(nominal)) for p in PARAMETERS]
     arms: dict[str, list[FleetRow]] = {}

@@ -42,7 +42,7 @@ def evaluated(
 
     workers: processes of a cluster of this computer, which is closed in the end, whatever happens; they store each result when it is
     there. scheduler: address of a running cluster instead; its workers must see the recordings under the same paths, and results are
-    sent to this process, which stores them. Raises ConnectError where it does not answer, RecordingError where nothing can be stored.
+    sent to this process, which stores them. Raises ConnectError if it does not answer, RecordingError if nothing can be stored.
     """
     try:
         from dask import config

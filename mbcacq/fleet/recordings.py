@@ -25,7 +25,7 @@ DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})(?:[T_-](\d{2})[-:h]?(\d{2})(?:[-:m
 
 @dataclass(frozen=True)
 class FleetRecording:
-    """One recording. arm: which arm it is of; time: when it was recorded, ISO 8601, '' where that is not known."""
+    """One recording. arm: which arm it is of; time: when it was recorded, ISO 8601, '' if that is not known."""
 
     path: str
     arm: str
@@ -56,7 +56,7 @@ def find_recordings(sources: Sequence[Path | str]) -> list[FleetRecording]:
     and, where known, ``arm`` and ``time``.
 
     Without a table, the arm is the name of the folder in which the recording lies, and the time that of the run's start, or a date in the
-    recording's name. Raises ConfigError where a source holds none, or a recording is given twice.
+    recording's name. Raises ConfigError if a source holds none, or a recording is given twice.
     """
     found: list[FleetRecording] = []
     for source in map(Path, sources):
@@ -102,14 +102,14 @@ def described(path: Path) -> FleetRecording:
 
 
 def started(path: Path) -> str:
-    """When the run of a folder was started, '' where it does not say."""
+    """When the run of a folder was started, '' if it does not say."""
     from mbcacq.report.sources.run_folder import read_run_identity
 
     return _iso(str(read_run_identity(path).get("started", ""))) if (path / "journal.jsonl").exists() else ""
 
 
 def dated(name: str) -> str:
-    """The date in a name, such as 2026-03-01 or 20260301T0830, as ISO 8601; '' where there is none."""
+    """The date in a name, such as 2026-03-01 or 20260301T0830, as ISO 8601; '' if there is none."""
     for match in DATE.finditer(name):
         year, month, day, hour, minute, second = (int(part or 0) for part in match.groups())
         try:
@@ -140,7 +140,7 @@ def listed(table: Path) -> list[FleetRecording]:
 
 
 def _iso(text: str) -> str:
-    """A time as ISO 8601 with its zone (UTC where none is said); '' where it is none."""
+    """A time as ISO 8601 with its zone (UTC where none is said); '' if it is none."""
     try:
         time = datetime.fromisoformat(text)
     except ValueError:

@@ -73,7 +73,7 @@ class FleetRow:
 
     @classmethod
     def of_columns(cls, columns: Mapping[str, Any]) -> Self:
-        """The row of its columns. Raises ValueError where a value is not of its kind, or a calibrated arm lacks figures."""
+        """The row of its columns. Raises ValueError if a value is not of its kind, or a calibrated arm lacks figures."""
         estimates = {
             name.removeprefix(ERROR): (error, columns.get(name.replace(ERROR, STD, 1)))
             for name, error in columns.items()

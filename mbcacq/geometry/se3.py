@@ -161,7 +161,7 @@ def _kabsch(a: np.ndarray, b: np.ndarray, weight: np.ndarray, group: np.ndarray,
 
 
 def least_distances(columns: np.ndarray, target: np.ndarray, group: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray | None:
-    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None where undetermined.
+    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None if undetermined.
 
     sigma: prior standard deviation of each unknown about zero, inf for none. An unknown that has one is never undetermined.
     """

@@ -50,7 +50,7 @@ class ThreeParallelAxesInverse:
 
     @classmethod
     def of(cls, chain: Chain, limits: np.ndarray) -> ThreeParallelAxesInverse | None:
-        """The solver of an arm with limits (n, 2) rad; None where the arm is not of this family."""
+        """The solver of an arm with limits (n, 2) rad; None if the arm is not of this family."""
         if chain.n != 6:
             return None
         frames = chain.frames(np.zeros((1, 6)))[0]
@@ -130,7 +130,7 @@ def _without_doubles(q: np.ndarray) -> np.ndarray:
 
 
 def _meeting(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
-    """(3,) mm where two lines that are not parallel meet; None where they do not."""
+    """(3,) mm where two lines that are not parallel meet; None if they do not."""
     if abs(u @ v) > 0.5:
         return None
     s, t = np.linalg.lstsq(np.stack([u, -v], axis=1), q - p, rcond=None)[0]

@@ -250,7 +250,7 @@ def check(
 
 
 def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observations, run: Path) -> CheckHistory:
-    """The history with one more day, recorded in a folder. Raises DeviceFault where a pose of the check is missing in it, ConfigError where
+    """The history with one more day, recorded in a folder. Raises DeviceFault if a pose of the check is missing in it, ConfigError where
     the day is in the history already."""
     name = str(run.absolute())
     if any(day.run == name for day in history.days):
@@ -275,7 +275,7 @@ def _history_file(result: CalibratedCell | dict[str, Any] | Path | str, history:
 def _new_history(
     loaded: LoadedPlan, poses: list[PlannedPose], cell: CalibratedCell, content: dict[str, Any], settings: CheckSettings
 ) -> CheckHistory:
-    """A history without days, of the poses that notice most. Raises ConfigError where the plan has too few."""
+    """A history without days, of the poses that notice most. Raises ConfigError if the plan has too few."""
     options = replace(OPTIONS, poses=settings.poses)
     if settings.part or not any(p.balls for p in poses):
         scans = with_points(loaded, poses)[1]
@@ -298,7 +298,7 @@ def _new_history(
 
 
 def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:
-    """The poses of a history as the plan has them now, in its order. Raises ConfigError where they are others, or cannot be taken."""
+    """The poses of a history as the plan has them now, in its order. Raises ConfigError if they are others, or cannot be taken."""
     chosen = [p for p in poses if p.number in history.poses]
     q = np.array([p.q for p in chosen])
     if q.shape != history.q.shape or not np.allclose(q, history.q, rtol=0, atol=SAME_ANGLE):

@@ -20,7 +20,7 @@ def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:
     """Standard deviations from the table of a fleet that has several recordings of arms of a type. robot: name of the type.
 
     As in the fleet's control charts, they are such that the median moving range is as expected: one arm that drifts, or a few bad
-    recordings, do not widen them. Values that the table does not state stay as usual. Raises ConfigError where no arm of the type was
+    recordings, do not widen them. Values that the table does not state stay as usual. Raises ConfigError if no arm of the type was
     recorded often enough.
     """
     kind = next((k for k in arm_types(read_table(Path(fleet))) if k.robot == robot), None)
@@ -39,7 +39,7 @@ def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:
 
 
 def _spread(rows: Sequence[FleetRow], names: Sequence[str]) -> float | None:
-    """Root mean square, over parameters, of what changes from a recording to the next of the same arm; None where it is not known."""
+    """Root mean square, over parameters, of what changes from a recording to the next of the same arm; None if it is not known."""
     arms = np.array([r.arm for r in rows])
     same = arms[1:] == arms[:-1]
     found = []

@@ -105,7 +105,7 @@ class CheckHistory:
 
 
 def read_history(path: Path) -> CheckHistory | None:
-    """The history in a file; None where there is none. Raises ConfigError where it is damaged or none of ours, RecordingError where it
+    """The history in a file; None if there is none. Raises ConfigError if it is damaged or none of ours, RecordingError if it
     cannot be read."""
     try:
         text = path.read_bytes()

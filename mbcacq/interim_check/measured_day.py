@@ -57,7 +57,7 @@ def _stations(check: PlannedCheck, obs: Observations, given: Mapping[str, np.nda
 
 
 def refuse_incomplete(check: PlannedCheck, residual: Residuals) -> None:
-    """Raises DeviceFault where a pose of the check was not measured, or shows fewer than three of its balls: a day counts whole."""
+    """Raises DeviceFault if a pose of the check was not measured, or shows fewer than three of its balls: a day counts whole."""
     for pose in check.poses:
         found = sum(number == pose.number for number, _ in residual)
         if found < min(FEWEST_BALLS, len(pose.balls)):

@@ -24,7 +24,7 @@ LEVER_MM = 50.0
 
 
 def with_points(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> tuple[LoadedPlan, list[PlannedPose]]:
-    """The plan with three points in the place of its part, and the poses that scan this. Raises ConfigError where it scans none, or parts
+    """The plan with three points in the place of its part, and the poses that scan this. Raises ConfigError if it scans none, or parts
     at several stations."""
     parts = {a.id for a in loaded.cell.artefacts if a.is_part}
     scans = [replace(p, balls=POINTS) for p in poses if p.artefact in parts]

@@ -71,7 +71,7 @@ class PlannedCheck:
 def planned_check(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], cell: CalibratedCell, standing: bool, days: UsualChanges
 ) -> PlannedCheck:
-    """A check by these poses. Raises ConfigError where the result is of another arm, or the plan's instrument does not ride on the arm."""
+    """A check by these poses. Raises ConfigError if the result is of another arm, or the plan's instrument does not ride on the arm."""
     refuse_other_arm("the result is of", cell.robot, cell.nominal, loaded.cell.robot, "the plan")
     if loaded.cell.measurement != ARTEFACT_IN_SCANNER:
         raise ConfigError(f"{loaded.path}: a check needs a scanner on the arm; this plan measures a target from outside")
@@ -121,7 +121,7 @@ def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[i
     """Numbers of the poses that notice most of what may have changed: of one station, nested by backward elimination.
 
     The criterion is the sum over all changes of log(1 + information of their usual change), as ``optimality_criteria`` has it for a design;
-    each pose's part is computed once. The artefact moves not at all within a check. Raises ConfigError where no station has enough poses.
+    each pose's part is computed once. The artefact moves not at all within a check. Raises ConfigError if no station has enough poses.
     """
     best: tuple[float, list[int]] | None = None
     for s in np.unique(check.obs.station):

@@ -27,7 +27,7 @@ def size_in_words(value: float, std: float, unit: str) -> str:
 
 
 def size_of(suspect: Suspect) -> str:
-    """The coefficients of a suspect beyond their uncertainty, or '' where no unit is known."""
+    """The coefficients of a suspect beyond their uncertainty, or '' if no unit is known."""
     known = [
         f"{name} {size_in_words(value, std, unit)}"
         for name, value, std, unit in zip(suspect.parameters, suspect.size, suspect.std, suspect.units, strict=True)

@@ -21,11 +21,11 @@ class BoardImage:
     name : str
         Of its file.
     pose : int or None
-        Its number in the observation set, None where it is not in it.
+        Its number in the observation set, None if it is not in it.
     points : int
         Number of points of the board that were used.
     rms_px, worst_px : float or None
-        Reprojection error, rms of a coordinate and largest distance; None where no board was found.
+        Reprojection error, rms of a coordinate and largest distance; None if no board was found.
     reason : str
         Why it is not in the set, or ''.
     """
@@ -73,5 +73,5 @@ class BoardImages(AsJson):
         return {"intrinsics": found, "noise_px": self.noise_px, "images": self.to_dict()["images"]}
 
     def name_of(self, pose: int) -> str:
-        """The file of a pose, '' where there is none."""
+        """The file of a pose, '' if there is none."""
         return next((one.name for one in self.images if one.pose == pose), "")

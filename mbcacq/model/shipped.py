@@ -11,7 +11,7 @@ from mbcacq.model.cell_schema import RobotSpec
 
 
 def folder() -> Path:
-    """The folder with robots/, artefacts/ and the plans. Raises ConfigError where an installation lacks it."""
+    """The folder with robots/, artefacts/ and the plans. Raises ConfigError if an installation lacks it."""
     package = Path(__file__).resolve().parents[1]
     for place in (package / "_plans", package.parent / "plans"):
         if (place / "robots").is_dir():

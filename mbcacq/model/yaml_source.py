@@ -92,7 +92,7 @@ def read(path: Path, role: str = "file", limits: FileLimits = SMALL) -> YamlFile
 
 
 def parse(text: str, path: Path, role: str = "file", limits: FileLimits = SMALL) -> YamlFile:
-    """The values and lines of a text. Raises ConfigError where it is no plain YAML."""
+    """The values and lines of a text. Raises ConfigError if it is no plain YAML."""
     if text.lstrip().startswith("<"):
         raise ConfigError(f"{path}:1: this is XML, where a {role} in YAML is needed; of a URDF, mbcacq robot import makes a robot file")
     try:

@@ -123,7 +123,7 @@ class _Placed:
 
 
 def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
-    """Compare all scans that overlap. scans: thinned, with their surfaces. Raises ConfigError where no two overlap enough."""
+    """Compare all scans that overlap. scans: thinned, with their surfaces. Raises ConfigError if no two overlap enough."""
     best = placements[-1]
     placed = [_placed(scan, surface, best) for scan, surface in scans]
     edge = options.spacings_per_cell * spacing(placed[0].points)

@@ -78,7 +78,7 @@ class CadDeviations:
         }
 
     def _map(self) -> dict[str, Any]:
-        """Mean deviation over x and y of the CAD frame, None where there is no point."""
+        """Mean deviation over x and y of the CAD frame, None if there is no point."""
         x, y, _, along = self.drawn.T
         edges = [np.linspace(v.min(), v.max(), MAP_CELLS + 1) for v in (x, y)]
         count = np.histogram2d(y, x, bins=edges[::-1])[0]
@@ -92,7 +92,7 @@ def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: P
     """Compare a merged cloud with a mesh in mm.
 
     T_base_cad: (4, 4) where the model lies roughly, or where it does lie if ``fit`` is False; then uncertainties are those in the base
-    frame. Raises ConfigError where no point of the cloud lies near the model.
+    frame. Raises ConfigError if no point of the cloud lies near the model.
     """
     surface, points = _Surface(mesh), merged_points(cloud)
     T = surface.fitted(points[:: max(1, len(points) // options.points_per_scan)], T_base_cad, options) if fit else T_base_cad

@@ -23,7 +23,7 @@ def from_controller(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
 
 
 def matrix(loaded: LoadedPlan) -> tuple[np.ndarray, np.ndarray]:
-    """A (n, n) and offset (n,) deg, with angles = A q + offset. Raises ConfigError where the plan's ``controller_joints`` do not fit the
+    """A (n, n) and offset (n,) deg, with angles = A q + offset. Raises ConfigError if the plan's ``controller_joints`` do not fit the
     arm."""
     n, spec = loaded.cell.robot.n, loaded.plan.robot.controller_joints or ControllerJoints()
     sign = _of_every_axis(loaded, "sign", spec.sign, 1.0)
@@ -39,7 +39,7 @@ def matrix(loaded: LoadedPlan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pulses(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
-    """Encoder pulses (..., n), rounded, of angles as the controller counts them. Raises ConfigError where the plan states none."""
+    """Encoder pulses (..., n), rounded, of angles as the controller counts them. Raises ConfigError if the plan states none."""
     spec = loaded.plan.robot.controller_joints
     if spec is None or spec.pulses_per_deg is None:
         raise _error(loaded, "pulses_per_deg are missing, which such a job needs; take them from the controller's parameters")

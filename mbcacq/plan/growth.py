@@ -53,7 +53,7 @@ def with_steps(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str:
 
 
 def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
-    """The text with lines put after the last step, or None where that one does not begin a line."""
+    """The text with lines put after the last step, or None if that one does not begin a line."""
     lines = loaded.text.splitlines()
     last = loaded.lines["steps", len(loaded.plan.steps) - 1] - 1
     if not lines[last].lstrip().startswith("- "):
@@ -68,7 +68,7 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
 
 
 def refuse_another_cell(loaded: LoadedPlan, further: LoadedPlan) -> None:
-    """Raises ConfigError where two plans do not describe the same cell: arm, scanner, artefacts, stations, what is in the way."""
+    """Raises ConfigError if two plans do not describe the same cell: arm, scanner, artefacts, stations, what is in the way."""
     one, other = (_without_files(yaml12.load(plan.text)) for plan in (loaded, further))
     for key in dict.fromkeys([*one, *other]):
         if key not in OWN and one.get(key) != other.get(key):

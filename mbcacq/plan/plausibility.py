@@ -112,7 +112,7 @@ def symmetric(artefact: Artefact) -> str:
 
 
 def _symmetry(centres: np.ndarray, diameters: np.ndarray) -> tuple[int, ...] | None:
-    """An exchange of balls, centres (B, 3) mm, that a rotation makes good within ``LEAST_DIFFERENCE_MM``; None where there is none."""
+    """An exchange of balls, centres (B, 3) mm, that a rotation makes good within ``LEAST_DIFFERENCE_MM``; None if there is none."""
     n, apart = len(centres), np.linalg.norm(centres[:, None] - centres, axis=2)
     if n < BALLS_FOR_ORIENTATION:
         return None

@@ -26,7 +26,7 @@ def report_from_result(
 
     observations: the recording, for residuals, histogram and coverage. run_info: what ``read_run_info`` returns for a run: optional texts
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'with_effects', 'devices', 'hashes'.
-    Raises ConfigError for a damaged result, RecordingError where the file cannot be written.
+    Raises ConfigError for a damaged result, RecordingError if the file cannot be written.
     """
     from mbcacq.report.sources.from_result import content_of
 
@@ -43,7 +43,7 @@ def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, st
 
 
 def write_report_page(content: Content, path: str | Path) -> Path:
-    """Write a report as one HTML page. Raises RecordingError where it cannot be written."""
+    """Write a report as one HTML page. Raises RecordingError if it cannot be written."""
     from mbcacq.report.page import render
 
     return write_file(path, render(content))
@@ -67,7 +67,7 @@ def pdf_from_result(
 def write_check_page(kept: Mapping[str, Any], path: str | Path) -> Path:
     """Write the page of a check, of what it left in its folder; a PDF where the name ends in .pdf.
 
-    Raises ConfigError where the libraries for a PDF are missing, RecordingError where the file cannot be written.
+    Raises ConfigError if the libraries for a PDF are missing, RecordingError if the file cannot be written.
     """
     from mbcacq.report.page import render_check
     from mbcacq.report.paper import write_pdf
@@ -89,7 +89,7 @@ def write_diagnosis_page(
     """Write a diagnosis as a page of its own: of poses (with what its pictures need), of motion, or of both.
 
     motion: with the poses of the same run, where there are both. checks: what was found in poses, tried on other recordings. about: robot,
-    data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError where the file cannot be written.
+    data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError if the file cannot be written.
     """
     from mbcacq.report.page import render_diagnosis
     from mbcacq.report.sources.from_diagnosis import diagnosis_content

@@ -88,7 +88,7 @@ class Spacing:
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRow:
-    """One identified parameter with its expanded uncertainty (k = 2). nominal and value may be None where only the correction is known.
+    """One identified parameter with its expanded uncertainty (k = 2). nominal and value may be None if only the correction is known.
     held: reason, or None if free."""
 
     group: str
@@ -219,7 +219,7 @@ class EffectContent:
     parameters : list[tuple[str, str, str, str]]
         (name, value, expanded uncertainty, unit) as texts.
     gain : str
-        Share of the excess over noise that it removes on held-out data; empty where none is stated.
+        Share of the excess over noise that it removes on held-out data; empty if none is stated.
     harmonics : tuple[list[str], list[list[str]]] or None
         Harmonics of a periodic effect, the heads of a table and a row a harmonic.
     alternatives : list[str]

@@ -153,7 +153,7 @@ def expected_accuracy(result: Mapping[str, Any]) -> tuple[str, str] | None:
     """Expanded uncertainty (k = 2) of a point in the workspace with its unit, and a remark on the misfit that is in it, or ''.
 
     The model lacks something unnamed if the residuals need clearly more than the stated noise; a new point is off by it too. The part of
-    the residual beyond the stated noise is added in quadrature. None where the result expects nothing.
+    the residual beyond the stated noise is added in quadrature. None if the result expects nothing.
     """
     expected = result["fit"].get("expected_accuracy_mm")
     if expected is None:
@@ -191,7 +191,7 @@ def next_action(
     plan: str = "",
 ) -> Action:
     """The one thing to do next, with a command that can be pasted. name: of the run folder or the data; with_effects: the folder of the
-    result with the effects that were found, where ``result`` is that one; plan: the plan of the run, '' where the data have none."""
+    result with the effects found, if ``result`` is that one; plan: the plan of the run, '' if the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
     if of_flange_poses(result) or result.get("length_instrument"):
@@ -210,7 +210,7 @@ def measure_next(name: str, plan: str) -> str:
 
 
 def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Action | None:
-    """None where nothing is suspicious. factor: noise that the residuals need over the stated noise."""
+    """None if nothing is suspicious. factor: noise that the residuals need over the stated noise."""
     if verdict.level == "fail":
         reason = "The limit is exceeded"
     elif factor > SUSPICIOUS:
@@ -221,7 +221,7 @@ def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Acti
 
 
 def _after_diagnosis(verdict: ReportVerdict, found: Diagnosis, name: str, plan: str) -> Action | None:
-    """None where the diagnosis found nothing and advises nothing."""
+    """None if the diagnosis found nothing and advises nothing."""
     if found.verdict in ("explained", "partly_explained", "unexplained"):
         return _after_finding(verdict, found, name, plan)
     if found.advice:

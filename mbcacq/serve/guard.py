@@ -53,8 +53,8 @@ class Guard:
         app.after_request(self.headers)
 
     def refuse_foreign(self) -> None:
-        """A page of another site, of which the name was made to lead here, asks with its own name as host; another site's form says where
-        it comes from."""
+        """A page of another site whose name was made to lead here asks with its own name as host. A form of another site states where it
+        comes from."""
         if request.headers.get("Host", "").lower() not in self._hosts:
             abort(403, "This page is for a browser on this computer, at 127.0.0.1 or localhost.")
         origin = request.headers.get("Origin")

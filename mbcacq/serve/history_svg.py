@@ -14,7 +14,7 @@ from mbcacq.serve.run_row import RunRow
 
 
 def history_picture(rows: Sequence[RunRow]) -> str:
-    """SVG of the recordings, the oldest first; '' where less than two have a figure. Bars are U (k = 2) of judging."""
+    """SVG of the recordings, the oldest first; '' if less than two have a figure. Bars are U (k = 2) of judging."""
     figures = [(k, *found, time_of(row.found)[:10]) for k, row in enumerate(rows) if (found := _largest(row)) is not None]
     checks = [(k, row.overview.check["verdict"] == "changed") for k, row in enumerate(rows) if row.overview.check is not None]
     if len(figures) + len(checks) < 2:

@@ -29,7 +29,7 @@ class LiveProgress(AsJson):
     done, total : int
         Numbers of poses.
     left_s : float or None
-        None where it is not known.
+        None if it is not known.
     what : str
         The present step, in words.
     simulated : bool

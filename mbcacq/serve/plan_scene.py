@@ -34,7 +34,7 @@ class PlanScenes:
         self._kept: dict[Path, tuple[int, str]] = {}
 
     def of(self, folder: Path) -> str:
-        """Raises ConfigError where the plan is missing, damaged, or names files that are gone."""
+        """Raises ConfigError if the plan is missing, damaged, or names files that are gone."""
         try:
             status = (folder / PLAN).stat()
         except OSError:
@@ -59,7 +59,7 @@ def plan_in(folder: Path) -> LoadedPlan:
 
 
 def _checked(folder: Path) -> frozenset[int] | None:
-    """Numbers of the poses of a check; None where the folder is of no judged check: all poses of the plan count."""
+    """Numbers of the poses of a check; None if the folder is of no judged check: all poses of the plan count."""
     return frozenset(read_check_result(folder)["poses"]) if (folder / CHECK_RESULT).exists() else None
 
 

@@ -39,7 +39,7 @@ class RunList:
 def find_runs(root: Path) -> RunList:
     """The folders of runs and fleets below a folder, or the folder itself. Links are not followed.
 
-    Raises ConfigError where it is no folder that can be read.
+    Raises ConfigError if it is no folder that can be read.
     """
     try:
         os.scandir(root).close()

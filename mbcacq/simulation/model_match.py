@@ -105,7 +105,7 @@ class ModelMatch(AsJson):
     remarks: tuple[str, ...] = ()
 
     def write(self, path: Path | str) -> Path:
-        """Write the model with what was found. Raises ConfigError where the file cannot be written."""
+        """Write the model with what was found. Raises ConfigError if the file cannot be written."""
         return write_file(path, self.xml)
 
     def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
@@ -114,7 +114,7 @@ class ModelMatch(AsJson):
 
     @property
     def verdict(self) -> str | None:
-        """What the model found leaves of held-out channels, as a verdict of a diagnosis; None where MuJoCo was not run by the set points.
+        """What the model found leaves of held-out channels, as a verdict of a diagnosis; None if MuJoCo was not run by the set points.
 
         These runs decide, and not the torque along the recorded motion by which the mismatch was located: that is linear, and has the
         error of angles that were differentiated twice.

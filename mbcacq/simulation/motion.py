@@ -41,7 +41,7 @@ def diagnose_against_model(
 ) -> tuple[MotionDiagnosis, ModelMatch]:
     """Locate and name the mismatch against MuJoCo's torque along the recorded motion, then fit in MuJoCo what its models can have.
 
-    Raises ConfigError where the recordings are not of the model's arm.
+    Raises ConfigError if the recordings are not of the model's arm.
     """
     check_recordings(arm, trajectories)
     if runs_by_servos(arm, trajectories):

@@ -64,7 +64,7 @@ class MujocoArm:
     imported : ImportedRobot
         How its rows were made.
     servos : tuple[int, ...] or None
-        The number of the position servo of each axis, None where an axis has none.
+        The number of the position servo of each axis, None if an axis has none.
     """
 
     path: Path
@@ -84,7 +84,7 @@ class MujocoArm:
 
 
 def load_arm(path: Path | str) -> MujocoArm:
-    """Raises ConfigError where MuJoCo is missing, cannot read the file, or no serial arm of named hinges is in it."""
+    """Raises ConfigError if MuJoCo is missing, cannot read the file, or no serial arm of named hinges is in it."""
     path, engine = Path(path), mujoco_engine()
     imported = import_robot(path)
     robot = RobotSpec.model_validate(yaml12.load(imported.text)).model()
@@ -155,7 +155,7 @@ def remarks_on_masses(arm: MujocoArm, spec: Any) -> tuple[str, ...]:
 
 
 def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None:
-    """Raises ConfigError where a recording cannot be of the model's arm."""
+    """Raises ConfigError if a recording cannot be of the model's arm."""
     for t in trajectories:
         where = t.name or "the recording"
         if t.robot.n != arm.n:
@@ -289,7 +289,7 @@ def recorded(t: Trajectory, channels: Sequence[RecordedSignal]) -> np.ndarray:
 
 
 def check_sampling(arm: MujocoArm, t: Trajectory) -> int:
-    """Steps of the model in one sample. Raises ConfigError where the recording has no even sampling that the model's timestep divides."""
+    """Steps of the model in one sample. Raises ConfigError if the recording has no even sampling that the model's timestep divides."""
     step, where = float(np.median(np.diff(t.time_s))), t.name or "the recording"
     if np.abs(np.diff(t.time_s) - step).max() > 0.01 * step:
         raise ConfigError(f"{where}: the samples are not evenly spaced in time; resample the recording, or give its controller's cycles")

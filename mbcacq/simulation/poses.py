@@ -28,7 +28,7 @@ POSES = "poses"
 def observations_of_model(recorded: Observations, arm: MujocoArm) -> Observations:
     """The recording with the model's arm as its nominal one; where the model has elastic gears, at the joint angles behind them.
 
-    Raises ConfigError where the model has another number of axes or turns less far.
+    Raises ConfigError if the model has another number of axes or turns less far.
     """
     robot = recorded.cell.robot
     if robot.n != arm.n:

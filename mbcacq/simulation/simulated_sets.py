@@ -27,7 +27,7 @@ def observations_against(recorded: Observations, simulated: Observations) -> Obs
     """The recording with the simulated set's geometry as its nominal arm, and without what that set holds beyond its geometry.
 
     The simulated poses are those of the same joint angles, in any order; poses and balls that it lacks are left out. Raises ConfigError
-    where the two are not of the same arm or share no poses, CalibrationError where the simulated set does not determine its geometry.
+    where the two are not of the same arm or share no poses, CalibrationError if the simulated set does not determine its geometry.
     """
     pose = _same_poses(recorded, simulated)
     cell = calibrate(simulated, CalibrationOptions(refuse=False))
@@ -88,7 +88,7 @@ def _centres(obs: Observations, keep: np.ndarray) -> Observations:
 
 def trajectory_against(recorded: Trajectory, simulated: Trajectory) -> Trajectory:
     """The recording with the simulated torque beside it; the joint-side angle without the simulated wind-up; and the simulated angle as
-    what the recorded one should have followed. Raises ConfigError where both are not of one motion.
+    what the recorded one should have followed. Raises ConfigError if both are not of one motion.
     """
     where = recorded.name or "the recording"
     if recorded.robot.n != simulated.robot.n:

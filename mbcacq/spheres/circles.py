@@ -33,7 +33,7 @@ class Circle:
 
 
 def circles_in(profiles: Sequence[np.ndarray], largest_radius: float) -> tuple[list[Circle | None], float]:
-    """The circle of at most ``largest_radius`` mm in each profile, None where there is none, and the noise (mm) of one point, pooled."""
+    """The circle of at most ``largest_radius`` mm in each profile, None if there is none, and the noise (mm) of one point, pooled."""
     found = [circle_in(profile, largest_radius) for profile in profiles]
     free = sum(c.n_points - 3 for c in found if c)
     squares = sum(c.squares for c in found if c)
@@ -41,7 +41,7 @@ def circles_in(profiles: Sequence[np.ndarray], largest_radius: float) -> tuple[l
 
 
 def circle_in(points: np.ndarray, largest_radius: float) -> Circle | None:
-    """The circle that most points (n, 2) mm are on; None where fewer than ``LEAST_POINTS`` are, or their arc is short."""
+    """The circle that most points (n, 2) mm are on; None if fewer than ``LEAST_POINTS`` are, or their arc is short."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < LEAST_POINTS:
         return None

@@ -40,7 +40,7 @@ class CloudFile:
     missing : int
         How many places of an organised cloud hold no point and were left out.
     unit : str
-        Unit of length, as the header states it, '' where it states none.
+        Unit of length, as the header states it, '' if it states none.
     viewpoint : bool
         Whether a PCD header gives a place of the sensor other than the origin.
     """
@@ -80,7 +80,7 @@ def read_cloud_file(path: str | Path) -> CloudFile:
 
 
 def mm_per(unit: str) -> float:
-    """Millimetres of a unit of length. Raises ConfigError where the word names none."""
+    """Millimetres of a unit of length. Raises ConfigError if the word names none."""
     try:
         named = unit_named(unit) or ""
     except AmbiguousUnit:
@@ -93,9 +93,9 @@ def mm_per(unit: str) -> float:
 
 
 def in_mm(path: str | Path, cloud: CloudFile, unit: str | None) -> np.ndarray:
-    """Points (N, 3) of a cloud in mm. unit: of the file, None where nobody said it: then the one that its header states, or mm.
+    """Points (N, 3) of a cloud in mm. unit: of the file, None if nobody said it: then the one that its header states, or mm.
 
-    Raises ConfigError where nothing states a unit and their size cannot be mm.
+    Raises ConfigError if nothing states a unit and their size cannot be mm.
     """
     points = cloud.points
     if unit or cloud.unit:

@@ -67,7 +67,7 @@ def rough_fits(clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndar
 def sphere_fits(
     clouds: Sequence[np.ndarray], centres: np.ndarray, radii: np.ndarray, view: np.ndarray | None, max_incidence: float, max_noise: float
 ) -> list[SphereFit | None]:
-    """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where too few points remain.
+    """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None if too few points remain.
 
     view: (3,) unit vector towards the scanner, None to take it from the caps. Points measured at more than ``max_incidence`` rad are
     omitted by their direction from the centre, which the noise along the normal cannot change.

@@ -79,7 +79,7 @@ class FoundSpheres:
     radius_error_mm : ndarray
         (k,) freely fitted minus certified radius.
     refused : list[tuple[str, ndarray or None]]
-        (reason, centre) of what looked like a ball and was not used; the centre is (3,) mm, or None where it has none.
+        (reason, centre) of what looked like a ball and was not used; the centre is (3,) mm, or None if it has none.
     """
 
     ball: np.ndarray

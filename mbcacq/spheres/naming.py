@@ -58,7 +58,7 @@ def _choose(
     guess: np.ndarray | None,
     options: SphereOptions,
 ) -> Assignment | None:
-    """The one assignment that the data, or failing that the prediction, single out; None where nothing does."""
+    """The one assignment that the data, or failing that the prediction, single out; None if nothing does."""
     if not possible:
         return None
     size = len(possible[0].found)

@@ -14,7 +14,7 @@ _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 
 
 def refuse_small_address_space() -> None:
-    """Make do with few addresses where a limit is set on them (ulimit -v). Raises SystemRefused where a run needs more than the limit."""
+    """Make do with few addresses where a limit is set on them (ulimit -v). Raises SystemRefused if a run needs more than the limit."""
     if sys.platform == "win32":
         return
     import resource

@@ -109,7 +109,7 @@ def _rows_of(clouds: Sequence[Path], table: Table) -> tuple[list[int], str]:
 
 
 def clouds_in(folder: Path, endings: Sequence[str]) -> list[Path]:
-    """The clouds of a folder in the order of the numbers in their names. Raises ConfigError where there are none."""
+    """The clouds of a folder in the order of the numbers in their names. Raises ConfigError if there are none."""
     found = [path for path in folder.iterdir() if path.suffix.lower() in endings]
     if not found:
         raise ConfigError(f"{folder} holds no cloud ({', '.join(endings)}); give another folder")

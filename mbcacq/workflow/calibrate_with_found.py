@@ -25,7 +25,7 @@ from mbcacq.workflow.diagnosis_result import DiagnosisResult
 class CalibratedWithFound:
     """geometry, with_effects: the two calibrations; by_geometry, by_effects: their verifications on the same poses.
 
-    with_effects is None where nothing was found that a calibration could take.
+    with_effects is None if nothing was found that a calibration could take.
     """
 
     geometry: CalibratedCell
@@ -64,7 +64,7 @@ class CalibratedWithFound:
         }
 
     def write(self, folder: Path) -> list[Path]:
-        """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
+        """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError if that is impossible."""
         from mbcacq.report.charts.spacing_svg import stages_picture
 
         files = {"result.json": sealed_text(self.result())}
@@ -74,7 +74,7 @@ class CalibratedWithFound:
 
     def show_in_viewer(self, run: Path, observations: Observations) -> Path:
         """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the
-        file. Raises RecordingError where that is impossible."""
+        file. Raises RecordingError if that is impossible."""
         from mbcacq.report.sources.from_result import content_of
         from mbcacq.report.sources.run_folder import read_kept_findings
         from mbcacq.workflow.evaluate import show_in_viewer
@@ -89,7 +89,7 @@ def calibrate_with_found(
     found: DiagnosisResult, options: CalibrationOptions | None = None, limit_mm: float | None = None
 ) -> CalibratedWithFound:
     """Both calibrations of the recording that was diagnosed, verified. limit_mm: largest sphere spacing error permitted. Raises ConfigError
-    for a diagnosis without poses, CalibrationError where they do not determine the cell.
+    for a diagnosis without poses, CalibrationError if they do not determine the cell.
     """
     obs = found.observations
     if obs is None:

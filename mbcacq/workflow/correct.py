@@ -46,11 +46,11 @@ class CorrectedPoint:
     q_deg : tuple[float, ...]
         The corrected angles.
     before_mm : float or None
-        Distance by which the arm misses its nominal place with the programmed angles; None where none are programmed.
+        Distance by which the arm misses its nominal place with the programmed angles; None if none are programmed.
     residual_mm, residual_deg : float
         Distance and angle by which it misses with the corrected ones, by the model.
     largest_change_deg : float or None
-        Largest change of a joint, None where none are programmed.
+        Largest change of a joint, None if none are programmed.
     reached : bool
         Whether the point is corrected.
     reason : str
@@ -92,7 +92,7 @@ class Correction(_Remarks, AsJson):
 
 @dataclass(frozen=True, kw_only=True)
 class _Points(_Remarks):
-    """The points of a file, q (P, n) rad as programmed and goals (P, 4, 4) mm, or None where the joints say it; written: the file with
+    """The points of a file, q (P, n) rad as programmed and goals (P, 4, 4) mm, or None if the joints say it; written: the file with
     what was found."""
 
     q: np.ndarray
@@ -174,7 +174,7 @@ def correct(
 
 
 def refuse_other_make(program: Path, robot: str) -> None:
-    """Raises ConfigError where the language of a program is one make's, and the arm's name says another."""
+    """Raises ConfigError if the language of a program is one make's, and the arm's name says another."""
     makes = {make for make, word in MAKES.items() if re.search(word, robot, re.IGNORECASE)}
     of_program = next((make for make, (suffixes, _) in LANGUAGE_MAKES.items() if program.suffix.lower() in suffixes), None)
     if of_program and makes and of_program not in makes:

@@ -60,14 +60,14 @@ class CorrectedTargets:
             raise ValueError("their numbers of poses differ")
 
     def steer(self, poses: Sequence[PlannedPose]) -> list[PlannedPose]:
-        """The poses with their corrected joint angles. Raises ConfigError where they are not those that were corrected."""
+        """The poses with their corrected joint angles. Raises ConfigError if they are not those that were corrected."""
         q = np.array([p.q for p in poses])
         if q.shape != self.nominal.shape or not np.allclose(q, self.nominal, rtol=0, atol=1e-9):
             raise ConfigError("the corrected targets are of other poses than the plan has; start a new run")
         return [replace(pose, q=corrected) for pose, corrected in zip(poses, self.corrected, strict=True)]
 
     def improvement(self, obs: Observations) -> ArmImprovement | None:
-        """Before and after, as a recording with these targets shows them; None where it cannot."""
+        """Before and after, as a recording with these targets shows them; None if it cannot."""
         at = obs.pose_id
         if at.max(initial=-1) >= len(self.nominal):
             return None
@@ -79,7 +79,7 @@ class CorrectedTargets:
 
 
 def read_targets(content: Any) -> CorrectedTargets:
-    """The corrected targets that a run keeps, from the JSON content of their fields. Raises ConfigError where they are damaged."""
+    """The corrected targets that a run keeps, from the JSON content of their fields. Raises ConfigError if they are damaged."""
     try:
         return from_fields(CorrectedTargets, content)
     except ValueError as error:
@@ -116,7 +116,7 @@ def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrat
 
 
 def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
-    """(P,) bool: whether the calibration was made with a pose at joint angles near q (P, n) rad; None where its poses are not known."""
+    """(P,) bool: whether the calibration was made with a pose at joint angles near q (P, n) rad; None if its poses are not known."""
     learnt = None
     if isinstance(calibrated, CalibratedCell):
         learnt = None if calibrated.own_fit is None else calibrated.own_fit.observations.q
@@ -131,7 +131,7 @@ def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
 
 
 def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None:
-    """Before and after, where a calibrated arm steered the run of this folder; None where it did not, or the recording cannot show it."""
+    """Before and after, where a calibrated arm steered the run of this folder; None if it did not, or the recording cannot show it."""
     from mbcacq.recording.run_folder.run_plan import read_kept_plan
 
     kept = read_kept_plan(folder).corrected
@@ -140,7 +140,7 @@ def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None
 
 def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTargets | None:
     """The corrected targets of a run that goes on: those it began with, as its folder or its recordings hold them. given: by this call.
-    Raises ConfigError where the two do not belong into one recording."""
+    Raises ConfigError if the two do not belong into one recording."""
     from mbcacq.recording.run_folder.run_plan import read_kept_plan
 
     kept = read_kept_plan(folder)

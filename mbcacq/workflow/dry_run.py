@@ -39,7 +39,7 @@ def device_overrides(
     """Options that replace the plan's own by device. They are the fake cell's addresses in a dry run, while the fake cell is up, and the
     answer yes to the prompts of a person who moves the artefacts. before: what a run that goes on has measured in the same cell.
 
-    Raises ConfigError where a driver cannot be imported or refuses its options: before a folder is made, a device opened.
+    Raises ConfigError if a driver cannot be imported or refuses its options: before a folder is made, a device opened.
     """
     yes = {"assume_yes": True} if assume_yes and loaded.plan.positioner.driver == "manual" else {}
     if not dry_run:

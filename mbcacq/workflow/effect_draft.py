@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 def write_draft(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
     """Write a package with the most probable formula of each location: pyproject.toml, and a module an effect.
 
-    Raises ConfigError where the folder holds something already, or cannot be written.
+    Raises ConfigError if the folder holds something already, or cannot be written.
     """
     best: dict[str, Proposal] = {}
     for one in proposals:

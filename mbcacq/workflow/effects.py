@@ -28,7 +28,7 @@ DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/"
 def as_effects(found: Effects) -> EffectModel:
     """The model of effects of a diagnosis, a calibrated cell, their JSON files, or several of these of one arm together.
 
-    Raises ConfigError where there is none, and says why.
+    Raises ConfigError if there is none, and says why.
     """
     if isinstance(found, Sequence) and not isinstance(found, str):
         return combined([as_effects(one) for one in found])

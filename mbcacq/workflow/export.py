@@ -80,7 +80,7 @@ def export(
 def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str | None = None, *, force: bool = False) -> dict[str, Any]:
     """Write a certificate (CSV, YAML, DMIS output) as an artefact file (default: ID.yaml): 'file', 'balls', 'uncertainty_mm', 'notes'.
 
-    Raises ConfigError for a damaged certificate or where the file exists, RecordingError where it cannot be written.
+    Raises ConfigError for a damaged certificate or where the file exists, RecordingError if it cannot be written.
     """
     from mbcacq.exports.certificate import read_certificate_file
     from mbcacq.recording.datasets.cell_writer import artefact_to_yaml

@@ -18,7 +18,7 @@ from mbcacq.parts.scene import register
 def scenes_as_observations(source: Path, obs: Observations) -> Observations:
     """The recording's scans of parts, brought together station by station, each from where the cell as described puts it.
 
-    Raises ConfigError where no two scans of a station overlap, or it has none.
+    Raises ConfigError if no two scans of a station overlap, or it has none.
     """
     o, chain = PartOptions(), obs.cell.robot.chain
     pose_of = {int(number): k for k, number in enumerate(obs.pose_id)}

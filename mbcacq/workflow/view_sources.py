@@ -50,7 +50,7 @@ class ImageFolder:
         self._folder, self._used = folder, set[Path]()
 
     def next(self, wait: Waits) -> np.ndarray | None:
-        """(H, W) uint8; None where none comes."""
+        """(H, W) uint8; None if none comes."""
         while True:
             files = [path for path in self._folder.iterdir() if path.suffix.lower() in IMAGES and path not in self._used]
             if files:
@@ -72,7 +72,7 @@ class VideoCamera:
         self._capture.set(opencv().CAP_PROP_BUFFERSIZE, 1)
 
     def next(self, wait: Waits) -> np.ndarray | None:
-        """(H, W) uint8, taken after this call; None where the stream has ended."""
+        """(H, W) uint8, taken after this call; None if the stream has ended."""
         good, image = self._capture.read()
         return opencv().cvtColor(image, opencv().COLOR_BGR2GRAY) if good else None
 
@@ -141,7 +141,7 @@ class PoseFile:
         self._path, self._options, self._row = path, options, 0
 
     def next(self, wait: Waits) -> np.ndarray | str | None:
-        """T_base_flange (4, 4) of the next row; None where none comes."""
+        """T_base_flange (4, 4) of the next row; None if none comes."""
         while True:
             table = table_of(self._path, self._options)
             if self._row < len(table):
@@ -151,7 +151,7 @@ class PoseFile:
                 return None
 
     def _pose_columns(self, table: Table) -> PoseHeadings:
-        """The columns of the flange's pose. Raises ConfigError where they leave something open: few rows cannot decide it."""
+        """The columns of the flange's pose. Raises ConfigError if they leave something open: few rows cannot decide it."""
         if (group := flange_group(table)) is None:
             raise ConfigError(f"{self._path}: no pose of the flange in {', '.join(table.columns)}; name x, y, z and its orientation")
         convention, *others = conventions_of(group, self._options.flange, "--flange")
@@ -171,7 +171,7 @@ class FollowedArm:
         self._last: np.ndarray | None = None
 
     def next(self, wait: Waits) -> np.ndarray | str | None:
-        """(n,) rad; None where the arm does not move on."""
+        """(n,) rad; None if the arm does not move on."""
         rest = self._robot.state()
         while True:
             now = self._robot.state()
@@ -187,7 +187,7 @@ class FollowedArm:
 
 @contextmanager
 def followed_arm(plan: Path) -> Iterator[tuple[Any, FollowedArm]]:
-    """The arm of a plan, connected, never moved, as (RobotModel, source of poses). Raises ConfigError where the plan may move it."""
+    """The arm of a plan, connected, never moved, as (RobotModel, source of poses). Raises ConfigError if the plan may move it."""
     loaded = load(plan)
     if loaded.plan.robot.follow is None:
         raise ConfigError(f"{plan}: its arm is moved by this program; for --follow the plan has follow: {{}} below robot")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from test_diagnosis_read_aloud import SOFT, UNMODELLED, diagnosed
 
-from mbcacq.diagnosis.effect_found import FoundAgain
+from mbcacq.diagnosis.effect_found import Alternative, FoundAgain
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.result import FitSummary, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate
@@ -19,6 +19,11 @@ from statements import contradictions
 WEAK = replace(SOFT, held_out_gain=0.0)
 ONCE = replace(SOFT, found_again=(FoundAgain("A2", 1, 2, True),))
 NEVER = replace(SOFT, found_again=(FoundAgain("A2", 0, 4, False),))
+BESIDE = replace(
+    UNMODELLED,
+    parameters={"A1(q1).rms_mm": ParameterEstimate(0.1, 0.01), "A2(q2).rms_mm": ParameterEstimate(0.2, 0.01)},
+    alternatives=(Alternative("unknown", ("A1",), 0.0, 1e-9),),
+)
 WIDE = replace(SOFT, name="gear_transmission_error", where=("A6",), parameters={"A6.order": ParameterEstimate(1.0, 0.6)}, alternatives=())
 ROBUST = HeldOutFigures(0.02, 0.009, 4.0, 1.0, "station", centres=419, robust_centres=440)
 APART = (NotSeparable(("joint_compliance:A2", "lost_motion:A2"), 0.07, 1 / 15 / 5),)
@@ -33,6 +38,7 @@ APART = (NotSeparable(("joint_compliance:A2", "lost_motion:A2"), 0.07, 1 / 15 / 
         (diagnosed("explained", SOFT, UNMODELLED), "explained beside something unmodelled"),
         (diagnosed("unexplained", SOFT), "unexplained without anything unmodelled"),
         (diagnosed("cannot_tell", SOFT, not_separable=APART), "cannot be told apart at odds 0.013"),
+        (diagnosed("unexplained", BESIDE), "unknown at A1 is stated and in the place of itself"),
         (diagnosed("cannot_tell", WEAK), "and each effect removes nothing"),
         (diagnosed("partly_explained", SOFT, chi2=(4.0, 6.0)), "chi2 of held-out data rises from 4.00 to 6.00"),
         (diagnosed("explained", WIDE), "A6.order is stated although its uncertainty is 0.6"),

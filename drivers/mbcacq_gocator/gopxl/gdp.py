@@ -134,7 +134,7 @@ def measurement(message: memoryview, at: int) -> float:
 
 
 def surface(message: memoryview, common: Common) -> GdpSurface:
-    """The arrays are views into the message. Raises ProtocolError where they do not fit into it."""
+    """The arrays are views into the message. Raises ProtocolError if they do not fit into it."""
     at, points = common.body, common.type == SURFACE_POINTS
     size, rows, columns, grey_rows, grey_columns, *rest = _SURFACE.unpack_from(message, at)
     scale, offset, exposure_ns = np.array(rest[:3]), np.array(rest[3:6]), rest[7]
@@ -155,7 +155,7 @@ def surface(message: memoryview, common: Common) -> GdpSurface:
 
 
 def _intensity(message: memoryview, start: int, rows: int, columns: int, pixel_format: int) -> np.ndarray | None:
-    """(L, W) uint8, scaled down where a pixel has two bytes; None where there is none, or in colours."""
+    """(L, W) uint8, scaled down where a pixel has two bytes; None if there is none, or in colours."""
     if not rows * columns:
         return None
     bits = 8 if pixel_format in _LEGACY_BYTES else pixel_format >> 16 & 0xFF

@@ -132,7 +132,7 @@ class GoPxLSession:
         return float(value) if isinstance(value, int | float) else None
 
     def set_exposure(self, exposure_us: float) -> None:
-        """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault where another one was taken."""
+        """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault if another one was taken."""
         if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < FINEST_US:
             return
         self.rest()

@@ -46,7 +46,7 @@ class ScannerPaths:
 
 
 def identify(control: GoPxLControl) -> SensorInfo:
-    """Who answers. Raises ConnectError where another GoPxL instance owns the sensor, ProtocolError."""
+    """Who answers. Raises ConnectError if another GoPxL instance owns the sensor, ProtocolError."""
     api = str(control.read("/version").get("apiVersion", ""))
     info = control.read("/environ/info")
     remote = control.read_if_there("/environ/remoteController")
@@ -72,7 +72,7 @@ def check_identity(info: SensorInfo, model: str, serial: int | None, address: st
 
 
 def find_scanner(control: GoPxLControl, serial: int) -> ScannerPaths:
-    """The sensor with this serial number, by engines, scanners and sensors. Raises ConfigError where there is none."""
+    """The sensor with this serial number, by engines, scanners and sensors. Raises ConfigError if there is none."""
     for engine in children(control.read("/scan/engines")):
         for group in children(control.read(f"{engine}/scanners")):
             for sensor in children(control.read(f"{group}/sensors")):

@@ -14,7 +14,7 @@ MOVED_DEG = 0.05  # more between two connections: somebody moved the arm
 
 def meet(link: Link, deadline: float, ended: threading.Event, poll_s: float) -> tuple[float, Hello, State]:
     """Wait until the controller has said who it is and where the arm is, both of one session of its program. Returns them after the time
-    (monotonic, s) at which the last of it came. Raises LinkLost where that is not reported until ``deadline``, or ``ended`` is set."""
+    (monotonic, s) at which the last of it came. Raises LinkLost if that is not reported until ``deadline``, or ``ended`` is set."""
     arrival, hello, state = 0.0, None, None
     while hello is None or state is None or hello.session != state.session:
         if ended.is_set() or time.monotonic() > deadline:

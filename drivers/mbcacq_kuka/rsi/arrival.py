@@ -35,7 +35,7 @@ class Arrival:
 
 
 def too_coarse(decimals: int, command: RsiCommand) -> str:
-    """Why angles that are written with so many decimals cannot show an arrival; '' where they can."""
+    """Why angles that are written with so many decimals cannot show an arrival; '' if they can."""
     if 0.5 * 10.0**-decimals <= command.tolerance:
         return ""
     return (

@@ -16,7 +16,7 @@ class CycleProcess:
     """Safe to use from several threads. ``port`` and ``real_time`` are known after ``start``."""
 
     def __init__(self) -> None:
-        """Raises OSError where there is no shared memory left."""
+        """Raises OSError if there is no shared memory left."""
         self._shared: Shared | None = Shared.create()
         self._reader = CycleReader(self._shared)
         self._lock = threading.Lock()

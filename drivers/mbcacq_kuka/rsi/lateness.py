@@ -27,7 +27,7 @@ class Lateness:
 
     @property
     def in_words(self) -> str:
-        """What the whole session says of a controller that has fallen silent, '' where it has discarded nothing."""
+        """What the whole session says of a controller that has fallen silent, '' if it has discarded nothing."""
         if not self.total:
             return ""
         answers = "1 answer" if self.total == 1 else f"{self.total:.0f} answers"

@@ -1,8 +1,8 @@
 """Was a telegram held up on its way? Answers to it come too late, so that the controller has held its set point meanwhile.
 
 A controller sends one telegram a cycle. After a pause without a lost one, telegrams that come faster than that are those of the pause: the
-network, or a computer that stood still, kept them. A peer in lock-step, which sends as soon as it has its answer, also comes faster than
-its own clock, but without a pause before: it is never late.
+network, or a computer that stood still, kept them. A peer in lock-step sends as soon as it has its answer. It also comes faster than its
+own clock, but without a pause before, so it is never late.
 """
 
 from __future__ import annotations

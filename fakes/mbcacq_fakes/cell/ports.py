@@ -26,7 +26,7 @@ SCANNERS = {  # driver -> its options that are ports, with where the sensor list
 
 def free_port() -> int:
     """A port that is free now, for UDP and TCP. The operating system does not give it to programs that ask for any free port, so it is
-    still free when it is used. Raises ConnectError where there is none."""
+    still free when it is used. Raises ConnectError if there is none."""
     draw = random.SystemRandom()
     for _ in range(_MOST_TRIES):
         port = draw.randrange(*_NOT_DRAWN)
@@ -46,7 +46,7 @@ def ipv4(host: str) -> str:
 
 
 def scanner_address(driver: str, options: Mapping[str, Any], ports: str) -> dict[str, Any]:
-    """Host and ports (0: any free) of the fake sensor. Raises ConfigError where the plan's address is not this computer's."""
+    """Host and ports (0: any free) of the fake sensor. Raises ConfigError if the plan's address is not this computer's."""
     usual = SCANNERS[driver]
     if ports == "free":
         return {"host": LOOPBACK, **dict.fromkeys(usual, 0)}

@@ -27,7 +27,7 @@ TICKS = 1_000_000
 
 
 def steps_of(folder: Path, pulses_per_deg: Any = None) -> list[Step]:
-    """The steps of the program in a folder. pulses_per_deg: of the plan, for a job of pulses. Raises ConfigError where there is none, or
+    """The steps of the program in a folder. pulses_per_deg: of the plan, for a job of pulses. Raises ConfigError if there is none, or
     one that cannot be read."""
     for path in sorted(folder.glob("*")):
         suffix = path.suffix.lower()

@@ -60,7 +60,7 @@ def is_own(address: str) -> bool:
 
 
 def facing(asker: tuple[str, int]) -> str:
-    """This computer's address as ``asker`` sees it; '' where there is no way to it."""
+    """This computer's address as ``asker`` sees it; '' if there is no way to it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(asker)
@@ -70,7 +70,7 @@ def facing(asker: tuple[str, int]) -> str:
 
 
 class Responder(ABC):
-    """Hears a udp port in a thread until closed. most: bytes of a datagram; port: 0 for any free one. Raises OSError where it is taken."""
+    """Hears a udp port in a thread until closed. most: bytes of a datagram; port: 0 for any free one. Raises OSError if it is taken."""
 
     def __init__(self, name: str, port: int, most: int) -> None:
         self._most, self._closing = most, threading.Event()

@@ -29,7 +29,7 @@ MOVED_MM = 3.0  # of an artefact between two poses; less is an arm's own error
 
 
 def refuse_unreadable(clouds: Sequence[FoundCloud]) -> None:
-    """Raises ConfigError where no cloud can be read at all."""
+    """Raises ConfigError if no cloud can be read at all."""
     if clouds and all(cloud.fault and not cloud.digest for cloud in clouds):
         raise ConfigError(f"none of {len(clouds)} clouds can be read; the first: {clouds[0].fault}")
 
@@ -73,7 +73,7 @@ def refuse_other_axes(loaded: LoadedPlan, poses: Sequence[PlannedPose], clouds: 
 def refuse_other_session(
     loaded: LoadedPlan, fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot], found: CloudAssignment, axes: str
 ) -> None:
-    """Raises ConfigError where the clouds as a whole do not fit the plan: another mount of the scanner, or another plan."""
+    """Raises ConfigError if the clouds as a whole do not fit the plan: another mount of the scanner, or another plan."""
     known = [k for k, cloud in enumerate(clouds) if cloud.identified]
     if not known:
         return
@@ -161,7 +161,7 @@ def moved_poses(fit: PlacementFit, moved: Iterable[tuple[int, int, float]]) -> s
 
 
 def _step(offsets: list[np.ndarray]) -> tuple[int, float] | None:
-    """Where a series (k, 3) mm steps, and by how much; None where it does not."""
+    """Where a series (k, 3) mm steps, and by how much; None if it does not."""
     values = np.array(offsets)
 
     def rest(k: int) -> float:

@@ -26,7 +26,7 @@ from mbcacq.model.observations import Observations
 
 
 def calibrate_paper(observations: Observations, options: CalibrationOptions) -> CalibratedCell:
-    """The published method on a recording. Raises CalibrationError where its stages lack what they need."""
+    """The published method on a recording. Raises CalibrationError if its stages lack what they need."""
     whole = select_phases(observations, options)
     if whole.cell.measurement == TARGET_IN_BASE or not np.any(np.abs(whole.xyz) > 1e-9):
         raise CalibrationError(
@@ -73,7 +73,7 @@ def constraint(obs: Observations, how: str) -> PairDistances:
 def identify(
     obs: Observations, first: CellState, at: PairDistances, layout: ParameterLayout, options: CalibrationOptions, measured: Measured
 ) -> distance_constraint.Identified:
-    """The last stage. Raises CalibrationError where the distances leave a direction undetermined that matters in the workspace."""
+    """The last stage. Raises CalibrationError if the distances leave a direction undetermined that matters in the workspace."""
     free = np.concatenate([b.free for b in layout.blocks[:2]])
     if len(at.a) < free.sum():
         raise CalibrationError(

@@ -63,7 +63,7 @@ def pairs(pose: np.ndarray, station: np.ndarray, ball: np.ndarray, certified: np
 
 def several_balls(obs: Observations, how: str) -> Observations:
     """The recording with the balls that the method works on: four of each artefact, those seen most often, or (how = 'all') all of them.
-    Artefacts with fewer than four are left out. Raises CalibrationError where no artefact shows four balls that are not on one line."""
+    Artefacts with fewer than four are left out. Raises CalibrationError if no artefact shows four balls that are not on one line."""
     count = np.bincount(obs.ball, minlength=len(obs.cell.ball_ids))
     keep = np.zeros(len(count), bool)
     for a in range(len(obs.cell.artefacts)):

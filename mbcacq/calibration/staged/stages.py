@@ -142,7 +142,7 @@ def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -
     """R_flange_scanner (3, 3) from poses (P, 4, 4) of equal orientation that see one fixed point at ``virtual`` (P, 3) (Eq. 7).
 
     R (p_1 - p_i) = R_base_flange' (t_i - t_1), an orthogonal Procrustes problem (SVD, determinant +1), here about the means, so
-    that no pose is special. Raises CalibrationError where the translations span less than a plane.
+    that no pose is special. Raises CalibrationError if the translations span less than a plane.
     """
     R = T_base_flange[:, :3, :3]
     moved = np.einsum("pji,pj->pi", R, T_base_flange[:, :3, 3] - T_base_flange[:, :3, 3].mean(axis=0))

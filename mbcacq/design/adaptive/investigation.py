@@ -132,7 +132,7 @@ def decisions(
     decisions that were made already, which are replayed. measured: a recording with which to begin, instead of a first block. seed: of
     random views.
 
-    Raises what ``measure`` raises, and CalibrationError where the data do not determine the geometry.
+    Raises what ``measure`` raises, and CalibrationError if the data do not determine the geometry.
     """
     budget = budget or Budget()
     grown = loaded if measured is not None else repeatable(first_block)(loaded)
@@ -276,6 +276,6 @@ def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:
 
 
 def refuse_empty(budget: Budget) -> None:
-    """Raises ConfigError where a budget allows nothing."""
+    """Raises ConfigError if a budget allows nothing."""
     if budget.poses < OPTIONS.first_block:
         raise ConfigError(f"{budget.poses} poses are fewer than the first block of {OPTIONS.first_block}; allow more")

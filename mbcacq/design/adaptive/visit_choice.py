@@ -193,7 +193,7 @@ class VisitChoice:
     def _best_at(
         self, name: str, before: MeasuredInformation, costs: VisitCosts, free: np.ndarray, most: int
     ) -> tuple[Visit, list[int]] | None:
-        """The best visit of a station, with the indices of its poses; None where too few poses are left."""
+        """The best visit of a station, with the indices of its poses; None if too few poses are left."""
         here = np.flatnonzero((self._names == name) & free)
         if len(here) < self._options.fewest:
             return None

@@ -249,7 +249,7 @@ class EvidenceFit:
 def linearised_anew(first: EvidenceFit, again: Callable[[EvidenceFit, EvidenceFit | None], EvidenceFit | None], most: int) -> EvidenceFit:
     """The sets of a recording that is linearised anew with the best set in place, as long as that changes it.
 
-    again: gets a fit and the one before it, if there is one, and returns the fit at the linearisation of the first; None where it stays.
+    again: gets a fit and the one before it, if there is one, and returns the fit at the linearisation of the first; None if it stays.
     most: how often.
     """
     before, fit = None, first

@@ -106,7 +106,7 @@ def alternatives_to(fit: EvidenceFit, reported: Hypothesis, everywhere: bool = F
 
 def better_in_general(fit: EvidenceFit, reported: Hypothesis) -> dict[str, float]:
     """Location -> natural logarithm of the odds by which the data are more probable with a general function there than with the reported
-    names, whatever was more probable beforehand. Empty where no such function predicts better.
+    names, whatever was more probable beforehand. Empty if no such function predicts better.
     """
     out: dict[str, float] = {}
     for other in fit.hypotheses:

@@ -60,7 +60,7 @@ def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
 
 
 def _compared_anew(problem: DiagnosisProblem, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
-    """The sets at the linearisation of the best one, with its outliers left out; None where both stay, or time is over."""
+    """The sets at the linearisation of the best one, with its outliers left out; None if both stay, or time is over."""
     if fit.cut_short or (before is not None and fit.best.key == before.best.key):
         return None
     kept = judged_centres(fit)
@@ -156,7 +156,7 @@ def with_untried_rivals(problem: DiagnosisProblem, fit: EvidenceFit) -> Evidence
 
 
 def replaced(base: Hypothesis, rival: UntriedEffect, prior: SetPrior) -> Hypothesis | None:
-    """The set with the rival in the place of all that it has at that location; None where it has nothing there, or nothing but what the
+    """The set with the rival in the place of all that it has at that location; None if it has nothing there, or nothing but what the
     rival stands for or is.
     """
     rest = tuple(m for m in base.members if m.candidate.where != rival.candidate.where)

@@ -218,7 +218,7 @@ class SetPrior:
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
-        are of one make; of the first, given that there is one. What the class of the arm has beside it is then more probable as well.
+        are of one make; of the first, given that there is one. Further effects usual in this class of arm are then more probable too.
         """
         if all(c.usual is None for c in (*present, candidate)):
             return self.of_one(candidate, present)

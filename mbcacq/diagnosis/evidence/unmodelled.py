@@ -49,7 +49,7 @@ class UnmodelledEffects:
         return out
 
     def process(self, projected: CandidateScoring, member: Member) -> Member | None:
-        """The most probable Gaussian process at the location of an unmodelled effect, in its place; None where none is known.
+        """The most probable Gaussian process at the location of an unmodelled effect, in its place; None if none is known.
 
         Its covariates and length are chosen with one component of the location at a time, and then the components that move together;
         what is not looked at is as if it had no evidence.

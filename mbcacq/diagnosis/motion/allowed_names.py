@@ -18,7 +18,7 @@ LEAST_SHARE = 0.05  # of the power that friction takes in all, which it may seem
 
 
 def refused_name(fit: MotionFit, effect: FittedEffect, runs: Sequence[MotionSignals]) -> str:
-    """Why an effect of a motion cannot be what it is called, as the end of a sentence; empty where it can."""
+    """Why an effect of a motion cannot be what it is called, as the end of a sentence; empty if it can."""
     candidate, declared = effect.candidate, declaration(effect.candidate.name)
     robot = runs[0].robot
     if robot is not None and (without := joints_without_drive(candidate, robot)):

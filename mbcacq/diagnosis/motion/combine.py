@@ -88,7 +88,7 @@ class PosesAndMotion:
 
     @classmethod
     def of_json(cls, content: Mapping[str, Any]) -> PosesAndMotion:
-        """From a diagnosis as it is written, with its ``motion``. Raises ConfigError where that is damaged."""
+        """From a diagnosis as it is written, with its ``motion``. Raises ConfigError if that is damaged."""
         beside = from_document(BothInFile, content, READABLE, "the diagnosis", "diagnosis", CURE)
         if beside.motion is None:
             raise ConfigError("the diagnosis is of poses alone; diagnose a run that recorded the motion between them")
@@ -194,7 +194,7 @@ class PosesAndMotion:
         return [found for pair in pairs if (found := self._named(pair)) is not None]
 
     def _named(self, pair: NotSeparable) -> DecidedPair | None:
-        """What is named of effects that one diagnosis cannot tell apart; None where that is not exactly one."""
+        """What is named of effects that one diagnosis cannot tell apart; None if that is not exactly one."""
         diagnosis, by = (self.poses, "poses") if pair in self.motion.not_separable else (self.motion, "motion")
         found = diagnosis.effects if by == "poses" else self.motion.named_effects
         named = named_side(pair, labels_of((e.name, e.where) for e in found))

@@ -36,7 +36,7 @@ OPTIONAL = ("q_set", "qd_set", "qdd_set", "qddd_set", "q_joint", "torque", "load
 def diagnose_trajectories(
     trajectories: Sequence[Trajectory], cross_validation: bool = True, minutes: float | None = OPTIONS.minutes
 ) -> MotionDiagnosis:
-    """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
+    """Diagnose one or several recordings of one robot. Raises ConfigError if they do not fit together.
 
     The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting or
     fitting anything. Without ``cross_validation``, in a third of the time, they are of parts that took part in selecting. minutes: when
@@ -114,7 +114,7 @@ class Recordings:
 
     def explain(self, held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
         """Fits, torque first: the load that it gives winds up the gears. held: number of a part (``normal_store.held_out_parts``) that
-        takes no part in them. Raises ConfigError where there is nothing to compare."""
+        takes no part in them. Raises ConfigError if there is nothing to compare."""
         runs = self.runs
         groups = channel_groups(runs, self.inertial, self.robot)
         if not groups:

@@ -69,7 +69,7 @@ class MotionSearch(EvidenceSearch):
         return best
 
     def looked_at(self, members: Sequence[Member], best: Hypothesis) -> Hypothesis:
-        """With its own noise: without an effect the noise of a joint may be a hundred times as large, of which a step says nothing."""
+        """With its own noise: without an effect the noise of a joint may be a hundred times as large, and a step does not show that."""
         return self.estimated(members, best.point)
 
     def may_matter(self, log_posterior: float, best: Hypothesis) -> bool:

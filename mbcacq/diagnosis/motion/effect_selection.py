@@ -44,7 +44,7 @@ class Judged:
 
 class EffectSelection:
     """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last. judged: each
-    form of an effect that was selected, empty where a part is held out."""
+    form of an effect that was selected, empty if a part is held out."""
 
     def __init__(self, model: MotionModel, candidates: list[Candidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
         """candidates: what may be selected, None for the whole catalogue. budget: when it is spent, the set is not changed any more."""
@@ -66,7 +66,7 @@ class EffectSelection:
         self.pool.forget_step()
 
     def _compared_anew(self, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
-        """The sets near the most probable one, linearised with that in place; None where nothing is beyond it, or time is over."""
+        """The sets near the most probable one, linearised with that in place; None if nothing is beyond it, or time is over."""
         best, selected = fit.hypotheses[0], _forms(self.model.selected)
         if before is not None:
             if _forms(best.members) == selected:

@@ -42,7 +42,7 @@ class Compensation:
         return cls(problem, there, Z, Z.T @ Z + np.eye(len(sigma)), elsewhere.geometry * elsewhere.sigma)
 
     def displacement(self, effect: Member, beside: Beside) -> np.ndarray | None:
-        """(P, 3) mm: what is left elsewhere of an effect of the recording; None where it cannot be built there."""
+        """(P, 3) mm: what is left elsewhere of an effect of the recording; None if it cannot be built there."""
         moved = self.there.displacement(effect)
         if moved is None:
             return None

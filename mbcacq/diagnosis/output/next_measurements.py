@@ -42,12 +42,12 @@ class Elsewhere:
         return {candidate.key: candidate for candidate in catalogue.candidates(self.context)[0]}
 
     def displacement(self, effect: Member) -> np.ndarray | None:
-        """(P, 3) mm: what an effect of the recording would do at these postures; None where it cannot be built there."""
+        """(P, 3) mm: what an effect of the recording would do at these postures; None if it cannot be built there."""
         candidate = self.candidates.get(effect.candidate.key)
         return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
 
     def displacement_together(self, effects: Sequence[Member]) -> np.ndarray | None:
-        """The same of several effects together; None where one of them cannot be built."""
+        """The same of several effects together; None if one of them cannot be built."""
         each = [moved for e in effects if (moved := self.displacement(e)) is not None]
         return np.sum(each, axis=0) if len(each) == len(effects) else None
 

@@ -116,7 +116,7 @@ def other_covariates(fit: EvidenceFit, reported: Hypothesis) -> list[str]:
 
 
 def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
-    """One sentence where the estimated noise is not what is stated of the instrument; None where it is, or where nothing is stated."""
+    """One sentence where the estimated noise is not what is stated of the instrument; None if it is, or where nothing is stated."""
     linear = full.geometry_only.linear
     if linear.obs.cell.noise_mm is None or linear.obs.noise_scale is not None:
         return None  # one figure would be wrong wherever it is stated

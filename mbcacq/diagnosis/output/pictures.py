@@ -103,7 +103,7 @@ def plot_data(
 
 
 def at_centres(context: Context, name: str) -> np.ndarray | None:
-    """(M,) values of a covariate; None where the recording lacks it, or where it is always the same."""
+    """(M,) values of a covariate; None if the recording lacks it, or where it is always the same."""
     try:
         values = context.value(name)
     except Missing:

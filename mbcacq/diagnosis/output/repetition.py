@@ -51,6 +51,6 @@ def repetition_sentences(effect: EffectFound) -> list[str]:
 
 
 def in_short(effect: EffectFound) -> str:
-    """How many halves show it at all of its locations; empty where halves were not searched."""
+    """How many halves show it at all of its locations; empty if halves were not searched."""
     halves = [one for one in effect.found_again if one.disjoint]
     return f"found again in {min(one.found_in for one in halves)} of {halves[0].parts} halves" if halves else ""

@@ -211,7 +211,7 @@ def is_to_be_calibrated_with(d: Diagnosis) -> bool:
 
 
 def what_is_open(d: Diagnosis) -> str:
-    """What to do before anything found is tried; empty where nothing is open."""
+    """What to do before anything found is tried; empty if nothing is open."""
     if d.out_of_time:
         return "give the diagnosis more time (--minutes)"
     if d.advice:

@@ -99,7 +99,7 @@ ALIKE = 3.0  # standard deviations of a band's values are up to this many times 
 
 @dataclass(frozen=True)
 class LimitBand:
-    """Values (H,) of a hyper-parameter; one of None where there is none. left_out: values between them for which no limit holds."""
+    """Values (H,) of a hyper-parameter; one of None if there is none. left_out: values between them for which no limit holds."""
 
     values: tuple[float | None, ...]
     left_out: tuple[float, ...] = ()

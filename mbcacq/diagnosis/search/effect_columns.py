@@ -141,7 +141,7 @@ def window_spectrum(phase: np.ndarray) -> np.ndarray:
 
 
 def angle_of_harmonics(columns: Sequence[Column]) -> str | None:
-    """The covariate of which columns are the sine and the cosine; None where they are something else."""
+    """The covariate of which columns are the sine and the cosine; None if they are something else."""
     products = [product for column in columns for product in column]
     plain = all(np.ndim(p.factor) == 0 and p.factor == 1.0 and len(p.functions) == 1 for p in products)
     if len(columns) != 2 or len(products) != 2 or not plain:

@@ -40,7 +40,7 @@ class RepeatedSearch:
 
     @classmethod
     def halves(cls, problem: DiagnosisProblem, pool: WorkerPool) -> RepeatedSearch:
-        """The search of each of two halves by blocks of the order of measurement: what one is searched in, the other has no part in."""
+        """The search of each of two halves, made of blocks of the order of measurement. No block is in both halves."""
         return cls._begun(problem, blocks(problem.linear.obs, 2), "block", pool, True)
 
     @classmethod

@@ -136,7 +136,7 @@ class _KrlStatements(Statements):
 
 
 def _no_joint_target(aggregate: Any, fields: Mapping[str, Any], wanted: Sequence[str]) -> str:
-    """Why an aggregate is not the angles of all axes, '' where it is; ``OTHER`` for one that has nothing to do with axes."""
+    """Why an aggregate is not the angles of all axes, '' if it is; ``OTHER`` for one that has nothing to do with axes."""
     named = [str(f.children[0]).split()[0].lower() for f in aggregate.children if f.data == "field"]
     if len(set(named)) < len(named) and set(wanted) & set(named):
         return "has the angle of an axis twice"

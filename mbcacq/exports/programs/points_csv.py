@@ -35,7 +35,7 @@ class PointTable:
         return tuple(self.table.line)
 
     def written(self, q: np.ndarray, errors_mm: np.ndarray, reached: np.ndarray, reasons: Sequence[str]) -> bytes:
-        """The table with columns of the corrected angles q (P, n) rad, empty where a point is not reached."""
+        """The table with columns of the corrected angles q (P, n) rad, empty if a point is not reached."""
         more = {
             f"corrected_q{i + 1}_deg": [_decimal(angle) if ok else "" for angle, ok in zip(column, reached, strict=True)]
             for i, column in enumerate(in_degrees(q).T)

@@ -133,7 +133,7 @@ class _UrStatements(Statements):
 
 
 def _angle(element: Any) -> Any:
-    """The number of an element and the unit that it has, rad or by d2r() deg; None where it is computed."""
+    """The number of an element and the unit that it has, rad or by d2r() deg; None if it is computed."""
     if len(element.children) != 1:
         return None
     item = element.children[0]

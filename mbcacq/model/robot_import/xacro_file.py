@@ -48,7 +48,7 @@ def expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
 
 
 def _unprefixed(path: Path) -> str:
-    """The first statement of xacro that a file writes without the prefix, '' where there is none."""
+    """The first statement of xacro that a file writes without the prefix, '' if there is none."""
     with contextlib.suppress(OSError, SyntaxError, ValueError):  # ParseError is a SyntaxError, what defusedxml refuses a ValueError
         root = ElementTree.fromstring(path.read_bytes())
         return next((name for name in STATEMENTS if root.find(name) is not None), "")
@@ -156,7 +156,7 @@ def _folders(top: Path) -> Iterator[Path]:
 
 
 def _name(path: Path) -> str:
-    """The name in a package.xml, '' where it has none."""
+    """The name in a package.xml, '' if it has none."""
     try:
         with path.open("rb") as file:
             return (ElementTree.fromstring(file.read(MOST_BYTES)).findtext("name") or "").strip()

@@ -28,7 +28,7 @@ class Trigger:
 
 @dataclass(frozen=True)
 class MoveTo:
-    """A joint motion, exact at its end. angles: (n,) deg as the controller counts them; duration_s: at the plan's speed, None where nobody
+    """A joint motion, exact at its end. angles: (n,) deg as the controller counts them; duration_s: at the plan's speed, None if nobody
     knows from where it begins; note: for people."""
 
     do: ClassVar = "move"
@@ -121,7 +121,7 @@ def motion_program(
     done: frozenset[int] = frozenset(),
 ) -> MotionProgram:
     """The program of the poses that are not ``done``. paths, path_home: as checked (``mbcacq.plan.routing``); its moves are theirs, in
-    their order. Raises ConfigError where the arm has no speeds, or ``controller_joints`` do not fit it."""
+    their order. Raises ConfigError if the arm has no speeds, or ``controller_joints`` do not fit it."""
     limits, allowed = motion_limits(loaded), axis_limits(loaded)
     steps: list[MoveTo | ExposeAt | PlaceArtefact] = []
     last = home = loaded.plan.robot.home

@@ -66,7 +66,7 @@ class BagSpec(Strict):
 
 @dataclass(frozen=True)
 class JointStates:
-    """time_s: (T,); position, effort: (T, n) rad and N m, effort None where the messages have none."""
+    """time_s: (T,); position, effort: (T, n) rad and N m, effort None if the messages have none."""
 
     time_s: np.ndarray
     position: np.ndarray
@@ -74,7 +74,7 @@ class JointStates:
 
 
 def bag_of(text: str, folder: Path) -> BagSpec | None:
-    """What the text of the cell.yaml of a folder says under ``bag``; None where it says nothing. Raises ConfigError."""
+    """What the text of the cell.yaml of a folder says under ``bag``; None if it says nothing. Raises ConfigError."""
     path = folder / "cell.yaml"
     if "bag" not in text:
         return None
@@ -83,7 +83,7 @@ def bag_of(text: str, folder: Path) -> BagSpec | None:
 
 
 class Bag:
-    """The messages of one bag, by topic. Raises ConfigError where the bag cannot be read, or a topic is missing or of another type."""
+    """The messages of one bag, by topic. Raises ConfigError if the bag cannot be read, or a topic is missing or of another type."""
 
     def __init__(self, folder: Path, spec: BagSpec) -> None:
         try:

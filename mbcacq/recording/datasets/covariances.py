@@ -25,7 +25,7 @@ def _names(size: int) -> list[str]:
 
 
 def read(table: Table, size: int) -> np.ndarray | None:
-    """(rows, size, size) mm and rad, or None where there are no such columns. size: 3 of a point, 6 of a pose. Raises ConfigError."""
+    """(rows, size, size) mm and rad, or None if there are no such columns. size: 3 of a point, 6 of a pose. Raises ConfigError."""
     sigmas = [f"sigma_{a}_{'mm' if i < 3 else 'deg'}" for i, a in enumerate(AXES[:size])]
     ros = [f"cov_{k}" for k in range(36)]
     if any(name in table.columns for name in sigmas):
@@ -47,7 +47,7 @@ def read(table: Table, size: int) -> np.ndarray | None:
 
 
 def read_shared(table: Table, size: int) -> np.ndarray | None:
-    """(rows, size, K) mm and rad, or None where there are no such columns. Raises ConfigError."""
+    """(rows, size, K) mm and rad, or None if there are no such columns. Raises ConfigError."""
     count = sum(name.startswith("shared_") and name.endswith("_x") for name in table.columns)
     if not count:
         return None

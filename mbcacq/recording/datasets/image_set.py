@@ -138,7 +138,7 @@ def _by_number(path: Path) -> list[tuple[int, str]]:
 
 
 def _rows_of(files: Sequence[Path], poses: Table) -> list[int | None]:
-    """The row of the poses of each image, None where it has none: by their names, else in their order. Raises ConfigError."""
+    """The row of the poses of each image, None if it has none: by their names, else in their order. Raises ConfigError."""
     column = next((name for name in poses.columns if name.strip().lower() in IMAGE_COLUMN), None)
     if column is not None:
         named = {Path(cell.strip()).name: row for row, cell in enumerate(poses.columns[column])}

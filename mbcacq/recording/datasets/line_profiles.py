@@ -39,7 +39,7 @@ class ProfileTable:
 
 
 def profile_columns(names: Sequence[str], flange: PoseHeadings | None) -> ProfileTable | None:
-    """The columns of profiles among ``names``; None where no thing has x and z and no y, or nothing numbers them."""
+    """The columns of profiles among ``names``; None if no thing has x and z and no y, or nothing numbers them."""
     number = number_column(names)
     if number is None:
         return None
@@ -68,7 +68,7 @@ class Sections:
 
 
 def _sections(table: Table, columns: ProfileTable, radius: float, default_length: float | None) -> Sections:
-    """The circle of each profile. Raises ConfigError where fewer than ``LEAST_PROFILES`` show the sphere."""
+    """The circle of each profile. Raises ConfigError if fewer than ``LEAST_PROFILES`` show the sphere."""
     numbers = table.integer(columns.number)
     values = table.numbers(columns.points, empty=np.nan) * (columns.length or default_length or 1.0)
     ids, first, which = np.unique(numbers, return_index=True, return_inverse=True)
@@ -103,8 +103,8 @@ class _Reading:
 
 
 def read_profiles(table: Table, options: TableOptions, poses: Table | None = None) -> UnderstoodTable | None:
-    """What a table of profiles says, or None where it is none. poses: the flange's pose of each profile, where it stands in a table of its
-    own. Raises ConfigError where the diameter is not said, or nothing decides between readings."""
+    """What a table of profiles says, or None if it is none. poses: the flange's pose of each profile, where it stands in a table of its
+    own. Raises ConfigError if the diameter is not said, or nothing decides between readings."""
     flange = flange_group(table if poses is None else poses)
     columns = profile_columns(list(table.columns), flange if poses is None else None)
     if columns is None or (poses is None and len(set(table.text(columns.number))) == len(table)):
@@ -136,7 +136,7 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
 
 
 def check_diameter(moving: np.ndarray, circles: Sequence[Circle], radius: float, start: ProfileStart, table: Table) -> str:
-    """A sentence on the diameter that profiles alone say. Raises ConfigError where they contradict the stated radius (mm)."""
+    """A sentence on the diameter that profiles alone say. Raises ConfigError if they contradict the stated radius (mm)."""
     own_radius, sigma = radius_by_profiles(moving, circles, radius, start)
     if abs(own_radius - radius) > SURE * sigma:
         raise ConfigError(
@@ -178,7 +178,7 @@ def _sentences(best: _Reading, sections: Sections, columns: ProfileTable, option
 def sphere_observations(
     hand: np.ndarray, measurement: Measurement, start: ProfileStart, sections: Sections, radius: float, source: str
 ) -> Observations:
-    """One sphere, seen in each profile. hand: (P, 4, 4) T_base_flange. Raises ConfigError where the poses do not decide the transform."""
+    """One sphere, seen in each profile. hand: (P, 4, 4) T_base_flange. Raises ConfigError if the poses do not decide the transform."""
     if start.ambiguous:
         raise ConfigError(
             f"{source}: two hand-eye transforms fit the profiles (residuals {start.misfit_mm:.3g} and {start.other_mm:.3g} mm); sweep "

@@ -74,7 +74,7 @@ class ClockDelay:
 def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: RestRule | None = None) -> MergedLogs:
     """Merge the log of an arm (joint angles or poses of the flange) and that of an instrument (points or poses of a target).
 
-    columns: names of this program -> names in the files. Raises ConfigError where a log has no times, the speeds agree at no delay or at
+    columns: names of this program -> names in the files. Raises ConfigError if a log has no times, the speeds agree at no delay or at
     several, or the arm never stands still.
     """
     still = still or RestRule()
@@ -110,7 +110,7 @@ def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: Res
 def clock_delay(t_a: np.ndarray, a: np.ndarray, t_b: np.ndarray, b: np.ndarray, source: str = "the log") -> ClockDelay:
     """Delay of the clock of b (M, k) at t_b (M,) s behind that of a (N, j) at t_a (N,) s, by the correlation of their speeds.
 
-    Raises ConfigError where they agree at no delay, or at another one as well.
+    Raises ConfigError if they agree at no delay, or at another one as well.
     """
     step = max(float(np.median(np.diff(t_a))), float(np.median(np.diff(t_b))), (np.ptp(t_a) + np.ptp(t_b)) / MOST_STEPS)
     lags, found = _correlation(_speed(t_a, a, step), _speed(t_b, b, step))

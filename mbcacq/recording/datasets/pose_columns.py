@@ -88,8 +88,8 @@ class PoseHeadings:
     """A pose, or a point where ``rotation`` is empty. thing: whose. translation, rotation: names of the columns; convention: of the
     orientation (``orientations``), '' for a point; alternatives: others that the headings allow. length: mm of a unit; angle: rad of a
     unit;
-    None where headings do not say. closing: names of the last row of a 4 x 4 matrix, () where it is not there. inverted: whether the pose
-    is of the base in the flange, or of the camera in the target; None where the name says either."""
+    None if headings do not say. closing: names of the last row of a 4 x 4 matrix, () where it is not there. inverted: whether the pose
+    is of the base in the flange, or of the camera in the target; None if the name says either."""
 
     thing: str
     translation: tuple[str, ...]
@@ -107,7 +107,7 @@ class PoseHeadings:
 
     def upright(self, table: Table) -> PoseHeadings:
         """With the cells of a 4 x 4 matrix where they belong, whether the file has it row by row or column by column: its last row is
-        0 0 0 1. Raises ConfigError where neither holds."""
+        0 0 0 1. Raises ConfigError if neither holds."""
         if not self.closing:
             return self
         rows, columns = (np.abs(table.group(names) - (0.0, 0.0, 0.0, 1.0)).max(axis=1) for names in (self.closing, self._last_column))
@@ -127,7 +127,7 @@ class PoseHeadings:
         return (*self.translation, self.closing[3])
 
     def with_units(self, table: Table) -> PoseHeadings:
-        """With units by the size of the numbers where headings do not say. Raises ConfigError where the numbers do not say either."""
+        """With units by the size of the numbers where headings do not say. Raises ConfigError if the numbers do not say either."""
         length, angle = self.length, self.angle
         if length is None:
             length = _length_by_size(table, self.translation)

@@ -48,9 +48,9 @@ class _ReadingInMotion:
 
 
 def read_profiles_in_motion(cycles: Table, points: Table, options: TableOptions) -> UnderstoodTable | None:
-    """What tables of cycles and of points say together; None where these are not such tables.
+    """What tables of cycles and of points say together; None if these are not such tables.
 
-    Raises ConfigError where times go back, nothing decides between readings, or the sweeps leave the hand-eye transform open.
+    Raises ConfigError if times go back, nothing decides between readings, or the sweeps leave the hand-eye transform open.
     """
     columns = profile_columns(list(points.columns), None)
     times = [_time_column(table) for table in (cycles, points)]

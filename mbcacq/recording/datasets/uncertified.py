@@ -25,7 +25,7 @@ LEAST_PRIOR_MM = 1.0
 def with_estimated_centres(obs: Observations, source: str) -> Observations:
     """The observations with places of the balls of each artefact that is not certified, in a frame of the first scan, and to scale.
 
-    Raises ConfigError where the measurements do not show them, or a known length was not measured.
+    Raises ConfigError if the measurements do not show them, or a known length was not measured.
     """
     unknown = [a for a in obs.cell.artefacts if not a.certified]
     if not unknown:
@@ -64,7 +64,7 @@ def _estimated(obs: Observations, artefact: Artefact, source: str) -> Artefact:
 
 
 def _laid_over(ball: np.ndarray, xyz: np.ndarray, pose: np.ndarray, count: int) -> tuple[np.ndarray, float] | None:
-    """Places (count, 3) of the balls, NaN where not measured, and their rms scatter, by laying scans over the fullest one; None where a
+    """Places (count, 3) of the balls, NaN where not measured, and their rms scatter, by laying scans over the fullest one; None if a
     ball is in no scan with three others that are placed."""
     poses, group = np.unique(pose, return_inverse=True)
     shown = np.bincount(group)

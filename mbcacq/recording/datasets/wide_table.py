@@ -60,7 +60,7 @@ def _names(ball: int) -> tuple[str, str, str]:
 
 
 def complete(table: Table, cell: Cell) -> None:
-    """Number the rows of a table without poses, and take the only station for all of them. Raises ConfigError where there are several."""
+    """Number the rows of a table without poses, and take the only station for all of them. Raises ConfigError if there are several."""
     if not table.has("pose"):
         table.columns["pose"] = tuple(str(i + 1) for i in range(len(table)))
     if not table.has("station"):

@@ -32,7 +32,7 @@ ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} µm, whit
 
 @dataclass(frozen=True)
 class Enlarged:
-    """What there is to show. pose, all, diagnosis: how many times longer than they are arrows are drawn; None where there are none yet."""
+    """What there is to show. pose, all, diagnosis: how many times longer than they are arrows are drawn; None if there are none yet."""
 
     pose: float | None = None  # of the current pose, after calibration
     all: float | None = None  # of all poses, before and after

@@ -33,7 +33,7 @@ def packed(scan: Scan) -> dict[str, np.ndarray]:
 
 
 def unpacked(scan: Scan, components: dict[str, np.ndarray]) -> Scan:
-    """The scan with what ``packed`` made of it: points within half a step (in float32), all else as it was. Raises ValueError where bytes
+    """The scan with what ``packed`` made of it: points within half a step (in float32), all else as it was. Raises ValueError if bytes
     are damaged."""
     try:
         points = (_inflated(components["packed_points"], 3) * STEP_MM).astype(np.float32)

@@ -41,7 +41,7 @@ def packed(columns: Mapping[str, np.ndarray]) -> np.ndarray:
 def unpacked(data: np.ndarray, only: Collection[str] = ()) -> dict[str, np.ndarray]:
     """What ``packed`` was given, bit for bit, each column as (k, n). only: names of the columns that are wanted, () for all.
 
-    Raises ValueError where bytes are damaged.
+    Raises ValueError if bytes are damaged.
     """
     try:
         return _inflated(zlib.decompress(data.tobytes()), only)

@@ -11,7 +11,7 @@ from mbcacq.errors import ConfigError
 def rerun_path(path: Path | str) -> str:
     """The path as text whose UTF-8 bytes are the file's name on the disk, whatever encoding the locale has (LANG=C).
 
-    Raises ConfigError where the name is not UTF-8 at all, which the library cannot open.
+    Raises ConfigError if the name is not UTF-8 at all, which the library cannot open.
     """
     if os.name == "nt":
         return str(path)

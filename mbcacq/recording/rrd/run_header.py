@@ -28,7 +28,7 @@ def write_run_header(folder: Path, header: RunHeader) -> None:
 
 
 def read_run_header(folder: Path) -> RunHeader | None:
-    """None where there is none or it is torn; the resumed part is then a recording of its own."""
+    """None if there is none or it is torn; the resumed part is then a recording of its own."""
     try:
         data = json.loads((folder / FILE).read_text(encoding="utf-8"))
         return RunHeader(str(data["recording_id"]), str(data["started"]), str(data["name"]))

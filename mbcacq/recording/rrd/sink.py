@@ -139,7 +139,7 @@ class Sink:
 
 
 def _refuse_full_disk(path: Path) -> None:
-    """Raises RecordingError where the disk takes not the first bytes: the library's writer ends at once there, and a stream that shall
+    """Raises RecordingError if the disk takes not the first bytes: the library's writer ends at once there, and a stream that shall
     write to it waits for ever. Free space does not show it all: there are quotas and limits of a process."""
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:

@@ -22,14 +22,14 @@ STEEL = (122, 128, 136)
 
 @dataclass(frozen=True)
 class StationStand:
-    """places: station -> (3,) mm in the base frame. axis: (2,) mm where the table turns, None where the stations lie on no circle."""
+    """places: station -> (3,) mm in the base frame. axis: (2,) mm where the table turns, None if the stations lie on no circle."""
 
     places: dict[str, np.ndarray]
     axis: np.ndarray | None = None
 
     @classmethod
     def of(cls, plan_yaml: str) -> StationStand | None:
-        """None where the plan has no positioner with a motor, or is of another form."""
+        """None if the plan has no positioner with a motor, or is of another form."""
         try:
             plan = yaml12.load(plan_yaml)
             if plan["positioner"]["driver"] == "manual":

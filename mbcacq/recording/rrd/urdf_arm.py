@@ -19,7 +19,7 @@ SAME_MM = 5.0  # flanges that move apart by more than this belong to different a
 
 
 class UrdfArm:
-    """Logs the shapes of a URDF once and its joints at every posture. Raises ConfigError where the file does not describe this arm."""
+    """Logs the shapes of a URDF once and its joints at every posture. Raises ConfigError if the file does not describe this arm."""
 
     def __init__(self, path: Path | str, cell: Cell) -> None:
         try:

@@ -35,7 +35,7 @@ class CheckedFile:
 def check(path: Path | str) -> list[CheckedFile]:
     """Check a run folder or one of its recordings against the checksums that were noted when they were written.
 
-    Raises ConfigError where there is no recording, RecordingError where another process writes in the folder.
+    Raises ConfigError if there is no recording, RecordingError if another process writes in the folder.
     """
     path = Path(path)
     folder = path if path.is_dir() else path.parent

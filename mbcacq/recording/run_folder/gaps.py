@@ -41,7 +41,7 @@ def _values(entries: list[dict[str, Any]], event: str, key: str) -> set[int]:
 
 
 def _recorded(path: Path) -> tuple[set[int] | None, set[int]]:
-    """Numbers of the poses that the recordings of a run folder, or a .rrd, hold intact (None where they cannot be read), and damaged."""
+    """Numbers of the poses that the recordings of a run folder, or a .rrd, hold intact (None if they cannot be read), and damaged."""
     from mbcacq.recording.rrd.reader import open_recordings
 
     if not (path.suffix == ".rrd" or path.is_dir() and layout.parts(path)):

@@ -135,7 +135,7 @@ def read_journal(folder: Path | str) -> list[dict[str, Any]]:
 
 
 def recorded_facts(folder: Path | str) -> dict[str, str]:
-    """What the devices reported of themselves at the first measured pose of a run, e.g. ``{"robot load": "2.3 kg"}``; empty where that was
+    """What the devices reported of themselves at the first measured pose of a run, e.g. ``{"robot load": "2.3 kg"}``; empty if that was
     not recorded."""
     try:
         entries = read_journal(folder)

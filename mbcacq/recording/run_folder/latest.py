@@ -48,14 +48,14 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
 
 
 def _marked(mark: Path) -> Path | None:
-    """The folder that a mark names, there or not; None where there is no mark."""
+    """The folder that a mark names, there or not; None if there is no mark."""
     if mark.is_symlink():
         return mark.parent / mark.readlink()
     return mark.parent / mark.read_text(encoding="utf-8").strip() if mark.is_file() else None
 
 
 def refuse_plan(path: Path) -> None:
-    """Raises ConfigError where a plan is given instead of what was recorded with it."""
+    """Raises ConfigError if a plan is given instead of what was recorded with it."""
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
         return
     with path.open("rb") as file:

@@ -62,7 +62,7 @@ class LockOwner:
 
 
 def lock_owner(folder: Path | str) -> LockOwner | None:
-    """Whose name stands beside the lock of a folder; None where nobody's does."""
+    """Whose name stands beside the lock of a folder; None if nobody's does."""
     try:
         with (Path(folder) / OWNER_FILE).open("rb") as file:
             owner = json.loads(file.read(MOST_BYTES))
@@ -75,7 +75,7 @@ def lock_owner(folder: Path | str) -> LockOwner | None:
 def holds_lock(pid: int, folder: Path | str) -> bool | None:
     """Whether a process holds the lock of a folder, by what the Linux kernel says of its open files; the lock itself is not touched.
 
-    None where that cannot be known: on another system, or of another user's process.
+    None if that cannot be known: on another system, or of another user's process.
     """
     process = Path("/proc") / str(pid)
     if not Path("/proc/self/fdinfo").is_dir():

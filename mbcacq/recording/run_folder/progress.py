@@ -37,7 +37,7 @@ def poses_done(folder: Path | str) -> frozenset[int]:
 
 def repair_and_read_progress(folder: Path | str) -> Progress:
     """Make every recording of an interrupted run readable and return what they hold. Nothing is deleted: a torn recording stays next to
-    its recovered copy, one without content gets another name. Raises RecordingError where the disk does not take the copy."""
+    its recovered copy, one without content gets another name. Raises RecordingError if the disk does not take the copy."""
     from mbcacq.recording.rrd.reader import opened_once
 
     folder = Path(folder)

@@ -41,10 +41,10 @@ class NothingRecovered(RecordingError):
 
 
 def recover(path: Path | str) -> list[Recovered]:
-    """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError where nothing is left to read.
+    """Make a .rrd, or every recording of a run folder, readable. Raises RecordingError if nothing is left to read.
 
     A damaged NAME.rrd is copied to NAME.recovered.rrd (never overwriting one), which ``load_observations`` then prefers. A run of several
-    parts is also merged into whole.rrd. Raises RecordingError where another process writes in the run folder.
+    parts is also merged into whole.rrd. Raises RecordingError if another process writes in the run folder.
     """
     path = Path(path)
     folder = path if path.is_dir() else path.parent

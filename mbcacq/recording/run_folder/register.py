@@ -39,7 +39,7 @@ CALIBRATED_FROM = ANY_KIND - {RunKind.CHECK}  # a recording that can be calibrat
 
 @dataclass(frozen=True)
 class RegisteredRun:
-    """One recording of a folder of runs. started: ISO 8601, '' where nothing says it."""
+    """One recording of a folder of runs. started: ISO 8601, '' if nothing says it."""
 
     folder: Path
     kind: RunKind
@@ -74,13 +74,13 @@ def registered(runs: Path) -> Iterator[RegisteredRun]:
 
 
 def newest(runs: Path, kinds: frozenset[RunKind]) -> Path | None:
-    """The folder of the newest recording of these kinds; None where there is none."""
+    """The folder of the newest recording of these kinds; None if there is none."""
     found = [one for one in registered(runs) if one.kind in kinds]
     return max(found, key=lambda one: (one.started, one.folder.name)).folder if found else None
 
 
 def refuse_other_kind(folder: Path, kinds: frozenset[RunKind]) -> None:
-    """Raises ConfigError where a check is given to what needs a recording that determines a cell."""
+    """Raises ConfigError if a check is given to what needs a recording that determines a cell."""
     if RunKind.CHECK not in kinds and folder.is_dir() and kind_of(folder) is RunKind.CHECK and not (folder / "result.json").exists():
         raise ConfigError(
             f"{folder} is a check: its few poses are compared with a calibrated cell and determine none; give the run that it checked, or "

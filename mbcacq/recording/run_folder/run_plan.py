@@ -72,7 +72,7 @@ def plan_files_text(  # noqa: PLR0913 -- each is one field of the file
 
 
 def plan_of_run(folder: Path) -> Path:
-    """The plan that a run folder was recorded with. Raises ConfigError where the folder does not say, or the plan is gone."""
+    """The plan that a run folder was recorded with. Raises ConfigError if the folder does not say, or the plan is gone."""
     try:
         kept = json.loads((folder / FILES).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -98,7 +98,7 @@ def keep_plan(folder: Path, plan: str, plan_files: str) -> None:
 def read_kept_plan(folder: Path) -> KeptPlan:
     """What a run folder was recorded with. A file that is missing or damaged is restored from the recordings, which must be readable.
 
-    Raises ConfigError where the folder holds no run.
+    Raises ConfigError if the folder holds no run.
     """
     parts = layout.parts(folder)
     if not (parts or (folder / PLAN).exists() or (folder / layout.JOURNAL_FILE).exists()):

@@ -58,7 +58,7 @@ def stop_run(folder: Path | str) -> LockOwner:
 
 
 def _heeded(pid: int) -> signal.Signals | None:
-    """The signal that a process ends in order at, SIGINT first; None where it has a handler of neither: it would break off."""
+    """The signal that a process ends in order at, SIGINT first; None if it has a handler of neither: it would break off."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace").splitlines()
         caught = next(int(line.split()[1], 16) for line in lines if line.startswith("SigCgt:"))

@@ -89,7 +89,7 @@ def screenshots(
     """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing. The
     pictures are one set: those of before stay where they cannot all be made.
 
-    progress: gets a sentence a step. Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where
+    progress: gets a sentence a step. Raises RecordingError if there is no Vulkan driver (a software one will do), ConfigError where
     there is no such pose.
     """
     progress("reading the recording")

@@ -49,5 +49,5 @@ def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> Figure
 
 
 def _short(values: np.ndarray) -> list[float | None]:
-    """Five significant digits, which a line shows at most; None where there is no value."""
+    """Five significant digits, which a line shows at most; None if there is no value."""
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]

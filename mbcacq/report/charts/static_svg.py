@@ -227,7 +227,7 @@ def _line(axes: Any, shape: Any) -> None:
 
 
 def _of(values: Mapping[str, Any], path: str) -> Any:
-    """``values["a"]["b"]`` of the path "a.b"; None where it is not given."""
+    """``values["a"]["b"]`` of the path "a.b"; None if it is not given."""
     found: Any = values
     for name in path.split("."):
         found = None if found is None else found.get(name)

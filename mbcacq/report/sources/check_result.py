@@ -19,7 +19,7 @@ def keep_check_result(run: Path, content: dict[str, Any]) -> None:
 
 
 def read_check_result(run: Path) -> dict[str, Any]:
-    """What a check said, from the folder of its recording. Raises ConfigError where it says nothing that can be read."""
+    """What a check said, from the folder of its recording. Raises ConfigError if it says nothing that can be read."""
     path = run / CHECK_RESULT
     advice = f"judge the check: mbcacq check RESULT PLAN --from {run}"
     try:

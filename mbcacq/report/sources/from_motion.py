@@ -33,15 +33,15 @@ MORE = 1.25  # of the held-out rms, from which that of the fit is another set's:
 
 
 def motion_content(found: MotionDiagnosis | PosesAndMotion) -> DiagnosisContent:
-    """Content of a diagnosis of motion, alone or with the poses of the same run. Raises ConfigError where the motion was read from JSON,
+    """Content of a diagnosis of motion, alone or with the poses of the same run. Raises ConfigError if the motion was read from JSON,
     and has no channels to draw."""
     motion, both = (found.motion, found) if isinstance(found, PosesAndMotion) else (found, None)
     return _content(motion, motion.series, both)
 
 
 def kept_motion_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent | None:
-    """Content of the motion in a kept diagnosis of a run, None where it has none; with the channels of ``motion_pictures``, where they are
-    there and undamaged. Raises ConfigError where the diagnosis is damaged."""
+    """Content of the motion in a kept diagnosis of a run, None if it has none; with the channels of ``motion_pictures``, where they are
+    there and undamaged. Raises ConfigError if the diagnosis is damaged."""
     if not diagnosis.get("motion"):
         return None
     try:
@@ -59,7 +59,7 @@ def motion_pictures(found: MotionDiagnosis) -> dict[str, Any]:
 
 
 def _read_series(content: Mapping[str, Any]) -> MotionSeries:
-    """What ``motion_pictures`` wrote. Raises KeyError, TypeError, ValueError, AttributeError where it is damaged."""
+    """What ``motion_pictures`` wrote. Raises KeyError, TypeError, ValueError, AttributeError if it is damaged."""
     channels = []
     for one in content["channels"]:
         arrays = {name: np.array(one[name], dtype=float) for name in ("time_s", "measured", "before", "after")}

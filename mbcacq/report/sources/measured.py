@@ -89,7 +89,7 @@ def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
 
 
 def spheres(observations: Observations) -> Spheres | None:
-    """None where the observations carry no quality of their fits."""
+    """None if the observations carry no quality of their fits."""
     obs = observations
     if obs.rms_mm is None or obs.n_points is None or not obs.n_centres or not np.any(np.isfinite(obs.rms_mm)):
         return None

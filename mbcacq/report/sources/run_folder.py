@@ -65,7 +65,7 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
 def read_kept_findings(folder: Path) -> dict[str, Any]:
     """'diagnosis', 'merged' (a part) and 'with_effects' (the result of the cell with its effects), where the folder of a run keeps them.
 
-    Raises RecordingError where one cannot be read, ConfigError where it is damaged or a newer version wrote it.
+    Raises RecordingError if one cannot be read, ConfigError if it is damaged or a newer version wrote it.
     """
     found = {}
     if (diagnosis := _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)) is not None:
@@ -101,9 +101,9 @@ def hashes(folder: Path) -> list[tuple[str, str, str]]:
 
 
 def _kept(path: Path, program: str, known: str) -> dict[str, Any] | None:
-    """What a command kept in the folder; None where it kept nothing. program: that command; known: format that this version reads.
+    """What a command kept in the folder; None if it kept nothing. program: that command; known: format that this version reads.
 
-    Raises RecordingError where the file cannot be read, ConfigError where it is damaged or a newer version wrote it.
+    Raises RecordingError if the file cannot be read, ConfigError if it is damaged or a newer version wrote it.
     """
     try:
         text = path.read_bytes()

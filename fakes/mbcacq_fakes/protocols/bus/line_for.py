@@ -12,7 +12,7 @@ _TRIAL = 20.5
 
 
 def template(pattern: str) -> str:
-    """A str.format template of the numbers by name. Raises ValueError where the pattern is more than literal text around simple named
+    """A str.format template of the numbers by name. Raises ValueError if the pattern is more than literal text around simple named
     groups."""
     found = [m[1] for m in _GROUP.finditer(pattern)]
     text = _GROUP.sub("\0", pattern)

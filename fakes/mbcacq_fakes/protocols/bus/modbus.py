@@ -29,7 +29,7 @@ _TABLE = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"}  # by fun
 class FakePositioner:
     """Drives to a commanded position in ``travel_s``; its flag is down meanwhile. Faults: ``stuck`` never arrives, ``fault`` a code.
 
-    Registers are None where it is not driven over Modbus.
+    Registers are None if it is not driven over Modbus.
     """
 
     stations: dict[str, float]

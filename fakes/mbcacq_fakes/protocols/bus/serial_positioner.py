@@ -19,7 +19,7 @@ IDLE = "BUSY"  # said where a pattern must not match
 class FakeSerialPositioner(SerialLine):
     """Understands the ``move`` text of the options, drives there in ``travel_s``, answers the queries accordingly.
 
-    Faults: ``motion.stuck`` never arrives, ``motion.fault`` a code; those of SerialLine. Raises ValueError where the patterns of the
+    Faults: ``motion.stuck`` never arrives, ``motion.fault`` a code; those of SerialLine. Raises ValueError if the patterns of the
     options are more than literal text around named groups, so that no reply can be made up for them.
     """
 

@@ -85,7 +85,7 @@ def _receive(sock: socket.socket) -> tuple[int, bytes] | None:
 
 
 def receive_exactly(sock: socket.socket, size: int) -> bytes | None:
-    """None where the other side closes before."""
+    """None if the other side closes before."""
     data = bytearray()
     while len(data) < size:
         part = sock.recv(min(size - len(data), 2**20))

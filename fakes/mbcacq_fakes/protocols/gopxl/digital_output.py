@@ -36,7 +36,7 @@ class DigitalOutput:
         return {"parameters": dict(self.ports[path])} if self.added and path in self.ports else None
 
     def update(self, path: str, payload: dict[str, Any]) -> str | None:
-        """'' where it is done, a sentence where a value cannot be."""
+        """'' if it is done, a sentence where a value cannot be."""
         if path == ROOT:
             self.enabled = bool(payload.get("enabled", self.enabled))
             return ""

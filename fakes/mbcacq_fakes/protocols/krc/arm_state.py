@@ -69,7 +69,7 @@ class ArmState(SharedBlock):
 
     @classmethod
     def create(cls, q: tuple[float, ...] = (0.0,) * 6, name: str | None = None) -> ArmState:
-        """A new block holding an arm at rest at ``q`` (n,) rad, n up to MOST_AXES. Raises SystemRefused where there is no memory for it."""
+        """A new block holding an arm at rest at ``q`` (n,) rad, n up to MOST_AXES. Raises SystemRefused if there is no memory for it."""
         state = cls(create_shared_memory(_SIZE, name), True, len(q))
         state.write(0.0, q, (0.0,) * len(q), (0.0,) * len(q), True, 0)
         return state
@@ -143,7 +143,7 @@ class ArmState(SharedBlock):
 
 
 def create_shared_memory(size: int, name: str | None = None) -> shared_memory.SharedMemory:
-    """A new block whose memory is there. Raises SystemRefused where it is not."""
+    """A new block whose memory is there. Raises SystemRefused if it is not."""
     try:
         return allocated(size, name)
     except FileExistsError:

@@ -69,7 +69,7 @@ class FakeOpcUaServer(Started):
         self._changed |= values
 
     def start(self) -> Self:
-        """Returns when it listens. Raises OSError where the port is taken."""
+        """Returns when it listens. Raises OSError if the port is taken."""
         self._thread.start()
         self._ready.wait()
         if self._error is not None:

@@ -255,7 +255,7 @@ class _Scope:
         return f"G.{name}"
 
     def kind(self, target: str) -> str:
-        """The declared type behind a target; '' where any value may go."""
+        """The declared type behind a target; '' if any value may go."""
         found = re.match(r"\$?\w+", target)
         base = found[0].lower() if found else ""
         kind = self.local.get(base, self._program._types.get(base, ""))
