@@ -88,12 +88,12 @@ class RobotUse(Strict):
 
     @property
     def free_axes(self) -> tuple[bool, ...]:
-        """Of each external axis, in the order of the chain, whether it may leave home for a target."""
+        """Whether each external axis, in the order of the chain, may leave home for a target."""
         return tuple(axis.name not in self.fixed_axes for axis in in_order_of_chain(self.external_axes))
 
     @property
     def is_spread(self) -> tuple[bool, ...]:
-        """Of each external axis, in the order of the chain, whether views are spread over what it may do."""
+        """Whether the views are spread over what each external axis, in the order of the chain, may do."""
         return tuple(axis.name in self.spread_axes for axis in in_order_of_chain(self.external_axes))
 
     def with_external(self, arm: np.ndarray) -> np.ndarray:
