@@ -36,7 +36,7 @@ from mbcacq.geometry.chain import Chain  # noqa: E402
 from mbcacq.geometry.flange_poses import flange_transforms  # noqa: E402
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE  # noqa: E402
 from mbcacq.recording.datasets import quaternions  # noqa: E402
-from mbcacq.recording.datasets.loose_table import robot_of  # noqa: E402
+from mbcacq.recording.datasets.cell_yaml import robot_of  # noqa: E402
 
 RATE_HZ, POSES, REST_S, MOVE_S = 100.0, 40, 0.8, 1.0
 TRACKER = se3.from_abc(np.array([2800.0, 400.0, 300.0]), np.radians([140.0, 3.0, -2.0]))

@@ -39,7 +39,8 @@ from mbcacq.plan.feasibility import check
 from mbcacq.plan.routing import path_home
 from mbcacq.recording import load_observations as load_run
 from mbcacq.workflow import acquire
-from mbcacq.workflow.robot_program import robot_program, write_files
+from mbcacq.workflow.controller_files import write
+from mbcacq.workflow.robot_program import robot_program
 
 NAMES = {
     "mbcacq_fakes.cell.process": "fake scanner (ray casting, encoding)",
@@ -246,7 +247,7 @@ def offline(given: argparse.Namespace) -> None:
         )
         path = with_bar(here / "plan.yaml", arm)
         loaded = load(path)
-        write_files(robot_program(loaded, ARMS[arm]), here / "program", True)
+        write(robot_program(loaded, ARMS[arm]), here / "program", True)
         planned = time.monotonic()
         clouds = here / "clouds"
         load_driver("fakes", "rehearsal")(loaded, expand(loaded), here / "program", clouds, seed=SEED)

@@ -174,7 +174,7 @@ def make_files(work: Path) -> None:
 def write_motion_logs(work: Path, name: str, seed: int) -> None:
     """Joint angles of an arm that rests ten times, and what a tracker whose clock is 12 s late saw of a reflector on its flange."""
     from mbcacq.geometry import se3
-    from mbcacq.recording.datasets.loose_table import robot_of
+    from mbcacq.recording.datasets.cell_yaml import robot_of
 
     rng = np.random.default_rng(seed)
     stops = np.radians([0, -80, 90, 0, 50, 0]) + rng.uniform(-0.6, 0.6, (10, 6))

@@ -13,7 +13,8 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.devices import load_driver
 from mbcacq.effects.support import with_drives_for
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan import LoadedPlan, PlannedPose, path
+from mbcacq.plan.routing import path_home
 
 Injected = list[dict[str, Any]]
 
@@ -56,8 +57,6 @@ def run(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path, noise_seed: int | None = None
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
-    from mbcacq.plan import path
-    from mbcacq.plan.routing import path_home
     from mbcacq.recording import load_observations
     from mbcacq.workflow.acquire import Acquisition
 

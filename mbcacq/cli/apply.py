@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 from mbcacq.quantities import K, uncertainty
 
 if TYPE_CHECKING:
@@ -20,45 +16,24 @@ if TYPE_CHECKING:
     from mbcacq.workflow.arm_positions import ArmPosition
 
 
-@click.command("apply")
-@click.argument("result", type=RunPath())
-@click.argument("cloud", type=click.Path(path_type=Path))
-@click.option("--joints", metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
-@click.option(
-    "--flange",
-    metavar="X,Y,Z,...",
-    help="Pose of the flange at the exposure, in mm and °, as the controller reports it; a rotation vector in rad.",
-)
-@click.option(
-    "--orientation", metavar="MAKER", help="Convention of the flange's orientation: kuka, fanuc, abb, ur, .., or axes such as ZYX."
-)
-@click.option(
-    "--poses",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Table of joint angles or poses of the flange, with a row for each cloud of the folder CLOUD.",
-)
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="PLY to write [default: CLOUD with _base before its ending]; of a folder, a folder."
-)
-@click.option(
-    "--unit",
-    type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]),
-    help="Unit of the clouds' coordinates [default: as their header says, or mm].",
-)
-@click.option("--force", is_flag=True, help="Replace files that are already there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@subcommand("apply")
 def command(
-    result: Path,
-    cloud: Path,
-    joints: str | None,
-    flange: str | None,
-    orientation: str | None,
-    poses: Path | None,
-    out: Path | None,
-    unit: str | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+    result: Path = argument(RunPath()),
+    cloud: Path = argument(),
+    joints: str | None = option("Joint angles of the exposure, in °, as the controller reports them.", metavar="Q1,Q2,..."),
+    flange: str | None = option(
+        "Pose of the flange at the exposure, in mm and °, as the controller reports it; a rotation vector in rad.", metavar="X,Y,Z,..."
+    ),
+    orientation: str | None = option(
+        "Convention of the flange's orientation: kuka, fanuc, abb, ur, .., or axes such as ZYX.", metavar="MAKER"
+    ),
+    poses: Path | None = option("Table of joint angles or poses of the flange, with a row for each cloud of the folder CLOUD.", FILE),
+    out: Path | None = option("PLY to write [default: CLOUD with _base before its ending]; of a folder, a folder."),
+    unit: str | None = option(
+        "Unit of the clouds' coordinates [default: as their header says, or mm].", ["mm", "m", "cm", "um", "in", "inch"]
+    ),
+    force: bool = option("Replace files that are already there."),
+) -> Answer:
     """Bring CLOUD (PLY or PCD, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
 
     CLOUD may be a folder of clouds, with a table of the arm's positions (--poses). Colours, intensities and all other properties of the
@@ -92,20 +67,19 @@ def command(
         for one, position, output in zip(clouds, positions, outputs, strict=True):
             steps.begin("bringing the scan into the base frame" if poses is None else f"bringing {one.name} into the base frame")
             placed.append(_placed(known, one, position, output, unit))
-    if as_json:
-        marked = {"format": "mbcacq-apply/1", **({"simulated": True} if known.get("simulated") else {})}
-        echo(json.dumps({**marked, **placed[0]} if poses is None else {**marked, "matched": matched, "clouds": placed}))
-        return
-    for sentence in [*with_warnings(known), *unsealed_note(result)]:
-        echo(f"*** {sentence} ***", err=True)
-    for note in dict.fromkeys([note for one in placed for note in one["notes"]] + ([matched] if matched else [])):
-        echo(f"note: {note}", err=True)
-    for one in placed:
-        x, y, z = (uncertainty(1e3 * K * sigma) for sigma in one["sigma_mm"])
-        middle, worst = (uncertainty(1e3 * K * one[name]) for name in ("sigma_3d_mm", "sigma_3d_worst_mm"))
-        echo(f"{one['output']}: {one['points']} points in the base frame")
-        echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
-    say_next(*judge_first(result))
+    marked = {"format": "mbcacq-apply/1", **({"simulated": True} if known.get("simulated") else {})}
+    document = {**marked, **placed[0]} if poses is None else {**marked, "matched": matched, "clouds": placed}
+    notes = dict.fromkeys([note for one in placed for note in one["notes"]] + ([matched] if matched else []))
+    warnings = [*with_warnings(known), *unsealed_note(result)]
+    return Answer(document, (line for one in placed for line in _lines_of(one)), judge_first(result), warnings, notes)
+
+
+def _lines_of(one: Mapping[str, Any]) -> list[str]:
+    """What is said about one cloud that was written."""
+    x, y, z = (uncertainty(1e3 * K * sigma) for sigma in one["sigma_mm"])
+    middle, worst = (uncertainty(1e3 * K * one[name]) for name in ("sigma_3d_mm", "sigma_3d_worst_mm"))
+    placed = f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst"
+    return [f"{one['output']}: {one['points']} points in the base frame", placed]
 
 
 def _output(cloud: Path, out: Path | None, force: bool) -> list[Path]:

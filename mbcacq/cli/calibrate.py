@@ -2,101 +2,63 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mbcacq.cli.next_step import command_line, put_to_use, say_next
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import console as terminal_console
-from mbcacq.cli.terminal import echo
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from mbcacq.estimation.options import ArmPrior
+    from mbcacq.workflow.evaluate import RunResult
 
 
-@click.command("calibrate")
-@click.argument("data", nargs=-1, required=True, type=RunPath())
-@click.option(
-    "--method",
-    type=click.Choice(["ml", "paper"]),
-    default="ml",
-    show_default=True,
-    help="ml: everything at once by maximum likelihood; paper: the published method, stage by stage.",
-)
-@click.option(
-    "--pairs",
-    type=click.Choice(["one", "four", "all"]),
-    default="four",
-    show_default=True,
-    help="Paper's method, pairs of balls that are used: one, as printed; all pairs of its four balls; all pairs of all balls.",
-)
-@click.option("--held-out", type=click.Choice(["station", "random", "block"]), help="Also refit without some poses and predict those.")
-@click.option("--held-out-size", type=click.IntRange(min=1), help="Poses held out of each random fit [default: 30 %, at most 300].")
-@click.option("--fits", type=click.IntRange(min=1), help="Number of random or block fits [default: 3 random, 5 blocks].")
-@click.option("--seed", default=0, show_default=True, help="Seed of the random choice.")
-@click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
-@click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
-@click.option(
-    "--free", "--release", "release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable)."
-)
-@click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
-@click.option("--geometry-alone", is_flag=True, help="Free links and no smooth errors beside them; what the model lacks counts as noise.")
-@click.option(
-    "--noise",
-    type=click.Choice(["auto", "given", "estimate"]),
-    default="auto",
-    show_default=True,
-    help="auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.",
-)
-@click.option("--keep-outliers", is_flag=True, help="Do not reject gross outliers.")
-@click.option("--even-if-undetermined", is_flag=True, help="Hold what the poses leave undetermined instead of refusing.")
-@click.option(
-    "--effects",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="DIAGNOSIS.json",
-    help="Fit the effects of this diagnosis (or result.json) with everything else (repeatable).",
-)
-@click.option("--hold-effects", is_flag=True, help="With --effects: keep their coefficients as they are.")
-@click.option(
-    "--prior",
-    type=click.Path(path_type=Path),
-    metavar="FLEET",
-    help="Take the errors of other arms of this type as prior: a folder or table of mbcacq fleet.",
-)
-@click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
-@click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result to this JSON file.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+@subcommand("calibrate")
 def command(
-    data: tuple[Path, ...],
-    method: str,
-    pairs: str,
-    held_out: str | None,
-    held_out_size: int | None,
-    fits: int | None,
-    seed: int,
-    phases: tuple[str, ...],
-    hold: tuple[str, ...],
-    release: tuple[str, ...],
-    hand_eye_only: bool,
-    geometry_alone: bool,
-    noise: str,
-    keep_outliers: bool,
-    even_if_undetermined: bool,
-    effects: tuple[Path, ...],
-    hold_effects: bool,
-    prior: Path | None,
-    with_map: bool,
-    l_curve: Path | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+    data: tuple[Path, ...] = argument(RunPath(), required=True),
+    method: str = option(
+        "ml: everything at once by maximum likelihood; paper: the published method, stage by stage.", ["ml", "paper"], default="ml"
+    ),
+    pairs: str = option(
+        "Paper's method, pairs of balls that are used: one, as printed; all pairs of its four balls; all pairs of all balls.",
+        ["one", "four", "all"],
+        default="four",
+    ),
+    held_out: str | None = option("Also refit without some poses and predict those.", ["station", "random", "block"]),
+    held_out_size: int | None = option("Poses held out of each random fit [default: 30 %, at most 300].", click.IntRange(min=1)),
+    fits: int | None = option("Number of random or block fits [default: 3 random, 5 blocks].", click.IntRange(min=1)),
+    seed: int = option("Seed of the random choice.", default=0),
+    phases: tuple[str, ...] = option("Use poses of this phase only (repeatable) [default: all but verification].", None, "--phase"),
+    hold: tuple[str, ...] = option("Keep this parameter at its nominal value, e.g. d_2 (repeatable).", metavar="NAME"),
+    release: tuple[str, ...] = option(
+        "Free a parameter that would be held as redundant (repeatable).", None, "--free", "--release", metavar="NAME"
+    ),
+    hand_eye_only: bool = option("Take the arm as nominal; identify hand-eye and stations only."),
+    geometry_alone: bool = option("Free links and no smooth errors beside them; what the model lacks counts as noise."),
+    noise: str = option(
+        "auto: stated scanner noise is a guess to start from; given: it is exact; estimate: it is ignored.",
+        ["auto", "given", "estimate"],
+        default="auto",
+    ),
+    keep_outliers: bool = option("Do not reject gross outliers."),
+    even_if_undetermined: bool = option("Hold what the poses leave undetermined instead of refusing."),
+    effects: tuple[Path, ...] = option(
+        "Fit the effects of this diagnosis (or result.json) with everything else (repeatable).", metavar="DIAGNOSIS.json"
+    ),
+    hold_effects: bool = option("With --effects: keep their coefficients as they are."),
+    prior: Path | None = option("Take the errors of other arms of this type as prior: a folder or table of mbcacq fleet.", metavar="FLEET"),
+    with_map: bool = option("Add the expected accuracy over the workspace to the result, on a grid of 250 mm.", None, "--map"),
+    l_curve: Path | None = option("Paper's method: draw its L-curve into this HTML file.", FILE),
+    out: Path | None = option("Write the result to this JSON file.", FILE),
+) -> Answer:
     """Calibrate the cell from DATA: a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set.
 
     Several recordings of one arm are calibrated together: arm and effects are shared; base, tool, stations, artefacts and noise are not.
@@ -148,22 +110,14 @@ def command(
 
         write_file(out, sealed_text(result))
         result["files"] = {"result": str(out)}
-    if as_json:
-        echo(json.dumps(result))
-    elif others:
-        print_joint_result(result)
-    else:
-        print_result(result)
-    if not as_json:
-        say_next(
-            *next_step(
-                data,
-                effects,
-                out,
-                joints=not (of_flange_poses(result) or result.get("length_instrument")),
-                poses=result.get("fit", {}).get("poses"),
-            )
-        )
+    joints = not (of_flange_poses(result) or result.get("length_instrument"))
+    then = next_step(data, effects, out, joints, result.get("fit", {}).get("poses"))
+    return Answer(result, lines_of_joint(result) if others else lines_of(result), then, wide=True)
+
+
+def answer_of_run(done: RunResult) -> Answer:
+    """The result of a run. It ends with the exit code of a limit that is exceeded."""
+    return Answer(done.to_dict(), lines_of(done.to_dict()), done.next_step, wide=True, end=done.refuse_beyond_limit)
 
 
 def next_step(
@@ -190,58 +144,40 @@ def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
     return read_priors(fleet)
 
 
-def print_joint_result(joint: dict[str, Any]) -> None:
-    """Show a joint result: the arm and its effects once, then what belongs to each recording."""
+def lines_of_joint(joint: dict[str, Any]) -> Iterator[str | Table]:
+    """A joint result: the arm and its effects once, then what belongs to each recording."""
     from mbcacq.cli import tables
 
-    console = terminal_console(highlight=False, soft_wrap=True)
     first = joint["recordings"][0]["result"]
     if tables.identifies_arm(first):
-        console.print(tables.parameters(first))
-    for line in [*tables.effects(first), *tables.day_to_day(joint)]:
-        console.print(line, markup=False)
+        yield tables.parameters(first)
+    yield from [*tables.effects(first), *tables.day_to_day(joint)]
     for number, one in enumerate(joint["recordings"], 1):
-        console.print(f"\nRecording {number}: {one['name']}", markup=False)
-        shown = {key: value for key, value in one["result"].items() if key != "effects"}
-        print_result(shown, arm=False)
-    for name, path in (joint.get("files") or {}).items():
-        console.print(f"{name}: {path}", soft_wrap=True)
+        yield f"\nRecording {number}: {one['name']}"
+        yield from lines_of({key: value for key, value in one["result"].items() if key != "effects"}, arm=False)
+    yield from _files(joint)
 
 
-def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
-    """Show a result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are) as tables on stdout, with
-    the table of the arm or without."""
-
+def lines_of(result: dict[str, Any], *, arm: bool = True) -> Iterator[str | Table]:
+    """A result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are), with the table of the arm or
+    without."""
     from mbcacq.calibration.result_io import caveats
     from mbcacq.cli import tables
 
-    console = terminal_console(highlight=False, soft_wrap=True)
-    for sentence in caveats(result):
-        console.print(f"*** {sentence} ***", markup=False)
+    yield from (f"*** {sentence} ***" for sentence in caveats(result))
     if arm and tables.identifies_arm(result):
-        console.print(tables.parameters(result))
-    for table in (*tables.fixed_scanners(result), tables.hand_eye(result)):
-        console.print(table)
-    fit = (
-        tables.effects,
-        tables.fit,
-        tables.images,
-        tables.length_instrument,
-        tables.clock,
-        tables.scan_scale,
-        tables.stages,
-        tables.remarks,
-        tables.arm_improved,
-    )
-    for line in (line for lines in fit for line in lines(result)):
-        console.print(line)
+        yield tables.parameters(result)
+    yield from (*tables.fixed_scanners(result), tables.hand_eye(result))
+    for lines in tables.SAID:
+        yield from lines(result)
     if result.get("verification"):
-        console.print(tables.verification(result["verification"]))
-        for line in [*tables.figures(result["verification"]), *tables.judgement(result)]:
-            console.print(line, markup=False)
+        yield tables.verification(result["verification"])
+        yield from [*tables.figures(result["verification"]), *tables.judgement(result)]
     if result.get("held_out"):
-        console.print(tables.held_out(result["held_out"]))
-    for gap in result.get("gaps") or ():
-        console.print(f"About the recording: {gap}", markup=False)
-    for name, path in (result.get("files") or {}).items():
-        console.print(f"{name}: {path}", soft_wrap=True)
+        yield tables.held_out(result["held_out"])
+    yield from (f"About the recording: {gap}" for gap in result.get("gaps") or ())
+    yield from _files(result)
+
+
+def _files(result: dict[str, Any]) -> Iterator[str]:
+    return (f"{name}: {path}" for name, path in (result.get("files") or {}).items())

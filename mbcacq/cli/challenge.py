@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
+from rich.table import Table
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
 # Headings of the table where they differ from the keys of its rows: broken so that all ten fit 80 columns.
@@ -24,49 +24,25 @@ SHORT = {
 }
 
 
-@click.command("challenge")
-@click.option("--seed", default=0, show_default=True, help="Seed of everything: cells, effects, strengths.")
-@click.option("--count", default=10, show_default=True, type=click.IntRange(1), help="Number of challenges.")
-@click.option("--plan", type=click.Path(path_type=Path), help="Plan to execute [default: the tool's plans/seeing.yaml].")
-@click.option(
-    "--effects",
-    default="mixed",
-    show_default=True,
-    help="What to inject: catalogue, outside, none, two (at once), mixed, or names; separated by commas.",
-)
-@click.option(
-    "--through-protocols/--fast",
-    "protocols",
-    default=True,
-    show_default=True,
-    help="Run the plan against the fake cell's servers (about a minute each), or compute what it would record (milliseconds).",
-)
-@click.option(
-    "--outliers", default=0.0, show_default=True, type=click.FloatRange(0, 0.2), help="Share of grossly wrong centres (only with --fast)."
-)
-@click.option(
-    "--missing",
-    multiple=True,
-    type=click.Choice(["time_s", "temperature", "direction"]),
-    help="A column that is not recorded (repeatable).",
-)
-@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 16), help="Processes.")
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Keep recordings, diagnoses and the true scenarios in this folder."
-)
-@click.option("--json", "as_json", is_flag=True, help="Print scores and table as one JSON object on stdout.")
+@subcommand("challenge")
 def command(
-    seed: int,
-    count: int,
-    plan: Path | None,
-    effects: str,
-    protocols: bool,
-    outliers: float,
-    missing: tuple[str, ...],
-    jobs: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+    seed: int = option("Seed of everything: cells, effects, strengths.", default=0),
+    count: int = option("Number of challenges.", click.IntRange(1), default=10),
+    plan: Path | None = option("Plan to execute [default: the tool's plans/seeing.yaml]."),
+    effects: str = option(
+        "What to inject: catalogue, outside, none, two (at once), mixed, or names; separated by commas.", default="mixed"
+    ),
+    protocols: bool = option(
+        "Run the plan against the fake cell's servers (about a minute each), or compute what it would record (milliseconds).",
+        None,
+        "--through-protocols/--fast",
+        default=True,
+    ),
+    outliers: float = option("Share of grossly wrong centres (only with --fast).", click.FloatRange(0, 0.2), default=0.0),
+    missing: tuple[str, ...] = option("A column that is not recorded (repeatable).", ["time_s", "temperature", "direction"]),
+    jobs: int = option("Processes.", click.IntRange(1, 16), default=1),
+    out: Path | None = option("Keep recordings, diagnoses and the true scenarios in this folder.", FOLDER),
+) -> Answer:
     """Inject effects into the fake cell, run the plan, diagnose the recordings without knowing them, then compare with the truth and score.
 
     \b
@@ -103,16 +79,12 @@ def command(
         progress.begin(f"challenge 1 of {count}")
         outcomes = take_all(plan or shipped.folder() / "seeing.yaml", scenarios, protocols, out, jobs, report)
     rows = summary([o.score for o in outcomes])
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))
-    else:
-        print_table(rows)
-        say_next("see what a plan of yours can show", command_line("plan", "check", plan or "seeing"))
+    document = {"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}
+    return Answer(document, [table_of(rows)], ("see what a plan of yours can show", command_line("plan", "check", plan or "seeing")))
 
 
-def print_table(rows: list[dict]) -> None:
+def table_of(rows: list[dict]) -> Table:
     from rich import box
-    from rich.table import Table
 
     from mbcacq.challenge.table import COLUMNS, cells
 
@@ -121,4 +93,4 @@ def print_table(rows: list[dict]) -> None:
         table.add_column(SHORT.get(name, name), justify="left" if i == 0 else "right", min_width=12 if i == 0 else None)
     for entry in rows:
         table.add_row(entry["kind"].replace("_", " "), *cells(entry)[1:])
-    terminal_console().print(table)
+    return table

@@ -2,48 +2,35 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
-from mbcacq.cli.operator import MotionOptions, moves_an_arm
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
-from mbcacq.cli.terminal import echo
 from mbcacq.quantities import capitalised
 
 if TYPE_CHECKING:
     from mbcacq.interim_check.check import InterimCheck
 
 
-@click.command("check")
-@click.argument("result", type=RunPath())
-@click.argument("plan", type=PlanPath())
-@click.option("--history", type=click.Path(path_type=Path, dir_okay=False), help="File of all checks [default: check.json beside RESULT].")
-@click.option("--from", "measured", type=RunPath("check"), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
-@click.option("--poses", default=12, show_default=True, help="Number of poses, chosen at the first check.")
-@click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check, so its place is not judged.")
-@click.option("--part", is_flag=True, help="Judge by the scans of PLAN's part instead of balls [always without balls].")
-@click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="Table of mbcacq fleet: how arms change from day to day.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder of the recording [default: runs/TIME_check-NAME].")
-@moves_an_arm()
-@click.option("--json", "as_json", is_flag=True, help="Print the verdict as one JSON object on stdout.")
+@subcommand("check")
 def command(
-    result: Path,
-    plan: Path,
-    history: Path | None,
-    measured: Path | None,
-    poses: int,
-    placed_anew: bool,
-    part: bool,
-    fleet: Path | None,
-    out: Path | None,
-    motion: MotionOptions,
-    as_json: bool,
-) -> None:
+    result: Path = argument(RunPath()),
+    plan: Path = argument(PlanPath()),
+    history: Path | None = option("File of all checks [default: check.json beside RESULT].", FILE),
+    measured: Path | None = option("Judge a check that was measured already; nothing moves.", RunPath("check"), "--from", metavar="RUN"),
+    poses: int = option("Number of poses, chosen at the first check.", default=12),
+    placed_anew: bool = option("The artefact is placed anew for each check, so its place is not judged."),
+    part: bool = option("Judge by the scans of PLAN's part instead of balls [always without balls]."),
+    fleet: Path | None = option("Table of mbcacq fleet: how arms change from day to day.", click.Path(path_type=Path, exists=True)),
+    out: Path | None = option("Folder of the recording [default: runs/TIME_check-NAME]."),
+    motion: MotionOptions = MotionOptions,  # type: ignore[assignment]
+) -> Answer:
     """Repeat the few poses of PLAN that show most of what may have changed since RESULT: mastering, tool, mount, links, gears.
 
     The poses are chosen at the first check. Each later check repeats them, and all are judged together: what changed, where, since when.
@@ -85,13 +72,7 @@ def command(
             settings=settings,
         )
     forget_failure()
-    if as_json:
-        echo(json.dumps(done.to_dict()))
-    else:
-        for line in lines_of(done):
-            echo(line)
-        say_next(*done.next_step(result, plan, motion.dry_run))
-    done.refuse_changed()
+    return Answer(done.to_dict(), lines_of(done), done.next_step(result, plan, motion.dry_run), end=done.refuse_changed)
 
 
 def lines_of(done: InterimCheck) -> list[str]:

@@ -2,52 +2,34 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.calibrate import answer_of_run
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from mbcacq.workflow.collect import PairedClouds
+    pass
 
 
-@click.command("collect")
-@click.argument("plan", type=PlanPath())
-@click.option("--clouds", type=click.Path(path_type=Path), required=True, help="Folder of the clouds (PLY, PCD, STL, XYZ, ASC, TIFF ...).")
-@click.option("--joints", type=click.Path(path_type=Path), help="Joint angles as the controller logged them (.csv, .dat, .log).")
-@click.option(
-    "--poses", "table", type=click.Path(path_type=Path), help="poses.csv of the robot program [default: the one among the clouds]."
-)
-@click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
-@click.option("--resume", type=RunPath(), help="Add to this run folder what it lacks.")
-@click.option(
-    "--unit", type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]), help="Unit of the clouds [default: the plan's, the files', or mm]."
-)
-@click.option("--axes", help="Axes of the clouds that are the scanner frame's x, y, z, such as 'x -y -z' [default: the plan's].")
-@click.option("--range-map", help="Scale of TIFF range maps: mm a column, mm a row, mm a count, mm at count 0.")
-@click.option("--by", type=click.Choice(["auto", "number", "time"]), default="auto", show_default=True, help="Order of the clouds.")
-@click.option("--check", is_flag=True, help="Only pair the clouds with the poses and say what is odd; record nothing.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+@subcommand("collect")
 def command(
-    plan: Path,
-    clouds: Path,
-    joints: Path | None,
-    table: Path | None,
-    out: Path | None,
-    resume: Path | None,
-    unit: str | None,
-    axes: str | None,
-    range_map: str | None,
-    by: str,
-    check: bool,
-    as_json: bool,
-) -> None:
+    plan: Path = argument(PlanPath()),
+    clouds: Path = option("Folder of the clouds (PLY, PCD, STL, XYZ, ASC, TIFF ...).", required=True),
+    joints: Path | None = option("Joint angles as the controller logged them (.csv, .dat, .log)."),
+    table: Path | None = option("poses.csv of the robot program [default: the one among the clouds].", None, "--poses"),
+    out: Path | None = option("Run folder [default: runs/TIME_NAME]."),
+    resume: Path | None = option("Add to this run folder what it lacks.", RunPath()),
+    unit: str | None = option("Unit of the clouds [default: the plan's, the files', or mm].", ["mm", "m", "cm", "um", "in", "inch"]),
+    axes: str | None = option("Axes of the clouds that are the scanner frame's x, y, z, such as 'x -y -z' [default: the plan's]."),
+    range_map: str | None = option("Scale of TIFF range maps: mm a column, mm a row, mm a count, mm at count 0."),
+    by: str = option("Order of the clouds.", ["auto", "number", "time"], default="auto"),
+    check: bool = option("Only pair the clouds with the poses and say what is odd; record nothing."),
+) -> Answer:
     """Pair the clouds of a folder with the poses of PLAN, find the balls, judge them, and calibrate: a run without drivers.
 
     The arm went through the poses by a program (`mbcacq plan program`) or by hand; the scanner's own program saved a cloud at each.
@@ -77,34 +59,16 @@ def command(
 
         with steps:
             paired = pair_clouds(loaded, mbcacq.Sources(clouds, form, by, joints, table), operator=operator)
-        print_pairs(paired, as_json)
-        if not as_json:
-            said = [word for option, file in (("--joints", joints), ("--poses", table)) if file for word in (option, file)]
-            say_next("make a run of them", command_line("collect", plan, "--clouds", clouds, *said))
-        return
+        pairs = {here.pose.number: [path.name for path in here.clouds] for here in paired.poses}
+        odd = [text for _, text in paired.notes]
+        lines = [*(f"pose {number}: {', '.join(names)}" for number, names in pairs.items()), *(f"odd: {text}" for text in odd)]
+        lines.append(f"{len(pairs)} of {len(paired.session.poses)} poses have clouds")
+        said = [word for option, file in (("--joints", joints), ("--poses", table)) if file for word in (option, file)]
+        then = "make a run of them", command_line("collect", plan, "--clouds", clouds, *said)
+        return Answer({"format": "mbcacq-collect-check/1", "poses": pairs, "notes": odd}, lines, then)
     with steps:
         done = mbcacq.collect(loaded, mbcacq.Sources(clouds, form, by, joints, table), out=out, resume=resume, operator=operator)
-    if as_json:
-        echo(json.dumps(done.to_dict()))
-    else:
-        from mbcacq.cli.calibrate import print_result
-
-        print_result(done.to_dict())
-        say_next(*done.next_step)
-    done.refuse_beyond_limit()
-
-
-def print_pairs(paired: PairedClouds, as_json: bool) -> None:
-    """Which cloud belongs to which pose, and what is odd."""
-    pairs = {here.pose.number: [path.name for path in here.clouds] for here in paired.poses}
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-collect-check/1", "poses": pairs, "notes": [text for _, text in paired.notes]}))
-        return
-    for number, names in pairs.items():
-        echo(f"pose {number}: {', '.join(names)}")
-    for _, text in paired.notes:
-        echo(f"odd: {text}")
-    echo(f"{len(pairs)} of {len(paired.session.poses)} poses have clouds")
+    return answer_of_run(done)
 
 
 def scale_of(given: object) -> tuple[float, float, float, float] | None:

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import click
+from rich.table import Table
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import console as terminal_console
-from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
 
 
-@click.command("compare")
-@click.argument("data", type=RunPath())
-@click.argument("other", type=RunPath(), required=False)
-@click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="With OTHER: also a page with charts (HTML).")
-@click.option("--no-held-out", is_flag=True, help="Leave out the refits without some stations.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the split.")
-@click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
-def command(data: Path, other: Path | None, report: Path | None, no_held_out: bool, seed: int, as_json: bool) -> None:
+@subcommand("compare")
+def command(
+    data: Path = argument(RunPath()),
+    other: Path | None = argument(RunPath(), required=False),
+    report: Path | None = option("With OTHER: also a page with charts (HTML).", FILE),
+    no_held_out: bool = option("Leave out the refits without some stations."),
+    seed: int = option("Seed of the split.", default=0),
+) -> Answer:
     """Calibrate the recording DATA in every way and compare. The ways are nominal, AX=XB and AX=ZB (Tsai-Lenz, Park-Martin,
     Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method (as printed, and with more pairs of balls), distance
     constraint only, and maximum likelihood. A method that DATA does not determine is listed with the reason.
@@ -39,19 +37,13 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
     import mbcacq
 
     if other is not None:
-        _print_changes(data, other, report, as_json)
-        return
+        return _changes(data, other, report)
     if report is not None:
         raise ConfigError("--report is of two recordings; give the second one, or take mbcacq report")
 
     with StepProgress() as progress:
         progress("reading the recording")
         rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed, progress=progress)
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": rows.to_dict()["rows"]}))
-        return
-    from rich.table import Table
-
     table = Table(title=f"{data} (mm)", title_justify="left")
     table.add_column("method")  # a long name takes two lines, so that all fits 80 columns
     for name in ("fit rms", "bar mean", "bar max", "held-out", "time s"):
@@ -60,19 +52,19 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
         values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
         shown = [f"{v:.4f}" if v is not None else "-" for v in values]
         table.add_row(row.method, *shown, f"{row.time_s:.2f}" if row.time_s is not None else "-")
-    console = terminal_console(highlight=False)
-    console.print(table)
+    lines: list[str | Table] = [table]
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)
-        echo(f"Undetermined: {names}: {why}")
+        lines.append(f"Undetermined: {names}: {why}")
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
-        echo(f"Nothing held out: {names}: without some poses, {why}")
+        lines.append(f"Nothing held out: {names}: without some poses, {why}")
     alone = () if any(row.method == "maximum likelihood" and row.fit_mm is not None for row in rows) else ("--hand-eye-only",)
-    say_next("calibrate by maximum likelihood", command_line("calibrate", data, *alone))
+    document = {"format": "mbcacq-comparison/1", "data": str(data), "rows": rows.to_dict()["rows"]}
+    return Answer(document, lines, ("calibrate by maximum likelihood", command_line("calibrate", data, *alone)))
 
 
-def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool) -> None:
+def _changes(first: Path, second: Path, report: Path | None) -> Answer:
     """The comparison of two recordings."""
     from mbcacq.workflow.changes_page import write_page
     from mbcacq.workflow.compare_runs import compare_runs
@@ -83,12 +75,6 @@ def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool
         if report is not None:
             progress("drawing the page")
             write_page(found, report)
-    if as_json:
-        echo(json.dumps(found.to_dict()))
-        return
-    from rich.table import Table
-
-    echo(f"{found.robot}: {first} (before), {second} (after)")
     table = Table(title="± U, k = 2; ! is beyond chance", title_justify="left")
     table.add_column("")
     for name in ("before", "after", "change"):
@@ -96,11 +82,8 @@ def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool
     table.add_column("unit")
     for marked, name, *shown in found.table:
         table.add_row(f"{'! ' * marked}{name}", *(text.replace(" ± ", "\n± ") for text in shown))
-    terminal_console(highlight=False).print(table)
-    for sentence in (*found.sentences, found.how):
-        echo(sentence)
+    lines = [f"{found.robot}: {first} (before), {second} (after)", table, *found.sentences, found.how]
     if report is not None:
-        echo(f"page: {report}")
-        say_next(*found.next_step)
-    else:
-        say_next("see it with its charts", command_line("compare", first, second, "--report", "changes.html"))
+        return Answer(found.to_dict(), [*lines, f"page: {report}"], found.next_step)
+    then = "see it with its charts", command_line("compare", first, second, "--report", "changes.html")
+    return Answer(found.to_dict(), lines, then)

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import click
-
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 from mbcacq.quantities import significant
+
+if TYPE_CHECKING:
+    from mbcacq.workflow.correct import Correction
 
 MOST_LINES = 20
 
 
-@click.command("correct")
-@click.argument("program", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--with", "result", type=RunPath(), required=True, metavar="RESULT", help="A result.json, or a run folder that holds one.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File to write [default: PROGRAM with _corrected].")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
-@click.option("--simulated-anyway", is_flag=True, help="Also with the calibration of a dry run.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(program: Path, result: Path, out: Path | None, force: bool, simulated_anyway: bool, as_json: bool) -> None:
+@subcommand("correct")
+def command(
+    program: Path = argument(FILE),
+    result: Path = option("A result.json, or a run folder that holds one.", RunPath(), "--with", required=True, metavar="RESULT"),
+    out: Path | None = option("File to write [default: PROGRAM with _corrected].", FILE),
+    force: bool = option("Replace a file that is there."),
+    simulated_anyway: bool = option("Also with the calibration of a dry run."),
+) -> Answer:
     """Write a copy of PROGRAM whose joint angles bring the calibrated arm, with its effects, to the nominal places.
 
     PROGRAM: KRL (.src, .dat), URScript (.script), RAPID (.mod), FANUC LS (.ls), or a CSV of joint angles (q1_deg..) or of poses of
@@ -35,36 +36,35 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     """
     import mbcacq
     from mbcacq.calibration.result_io import with_warnings
-    from mbcacq.workflow.correct import LARGE_CHANGE_DEG
     from mbcacq.workflow.load import as_result, unsealed_note
 
     with StepProgress() as steps:
         steps.begin("looking for joint angles that reach the nominal places")
         done = mbcacq.correct(program, result, out, force=force, simulated_anyway=simulated_anyway)
-    if as_json:
-        echo(json.dumps(done.to_dict()))
-        return
-    for sentence in [*with_warnings(as_result(result)), *unsealed_note(result)]:
-        echo(f"*** {sentence} ***", err=True)
-    for note in done.notes:
-        echo(f"note: {note}", err=True)
+    warnings = [*with_warnings(as_result(result)), *unsealed_note(result)]
+    return Answer(done.to_dict(), lines_of(done), judge_first(result), warnings, done.notes)
+
+
+def lines_of(done: Correction) -> Iterator[str]:
+    """What was corrected, what could not be reached, what changes much, and what is left alone."""
+    from mbcacq.workflow.correct import LARGE_CHANGE_DEG
+
     reached = [p for p in done.points if p.reached]
     missed = [p.before_mm for p in done.points if p.before_mm is not None]
     moved = f", which missed their places by up to {max(missed):.3f} mm" if missed else ""
-    echo(f"{done.file}: {len(reached)} of {len(done.points)} points corrected{moved}")
+    yield f"{done.file}: {len(reached)} of {len(done.points)} points corrected{moved}"
     if reached:
-        echo(f"residual of the corrected points by the model: at most {significant(1e3 * max(p.residual_mm for p in reached), 2)} µm")
+        yield f"residual of the corrected points by the model: at most {significant(1e3 * max(p.residual_mm for p in reached), 2)} µm"
     for p in [p for p in done.points if not p.reached][:MOST_LINES]:
-        echo(f"  {_place(p.name, p.line)}: not reached, {significant(p.residual_mm)} mm short: {p.reason}")
+        yield f"  {_place(p.name, p.line)}: not reached, {significant(p.residual_mm)} mm short: {p.reason}"
     for p in [p for p in done.points if (p.largest_change_deg or 0.0) > LARGE_CHANGE_DEG][:MOST_LINES]:
-        echo(f"  {_place(p.name, p.line)}: a joint changes by {p.largest_change_deg:.2f}°; look at it before it runs")
+        yield f"  {_place(p.name, p.line)}: a joint changes by {p.largest_change_deg:.2f}°; look at it before it runs"
     if done.left_alone:
-        echo(f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:")
+        yield f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:"
     for name, line, reason in done.left_alone[:MOST_LINES]:
-        echo(f"  {_place(name, line)}: {reason}")
+        yield f"  {_place(name, line)}: {reason}"
     if len(done.left_alone) > MOST_LINES:
-        echo(f"  and {len(done.left_alone) - MOST_LINES} more: --json lists all")
-    say_next(*judge_first(result))
+        yield f"  and {len(done.left_alone) - MOST_LINES} more: --json lists all"
 
 
 def _place(name: str, line: int) -> str:

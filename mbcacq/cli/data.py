@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
-from mbcacq.cli.terminal import echo
+from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 
 if TYPE_CHECKING:
+    from mbcacq.camera.board import Board
     from mbcacq.recording.datasets.loose_table import TableOptions, UnderstoodTable
+
+BOARDS = ["charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles"]
+ABOVE_ZERO = click.FloatRange(0, min_open=True)
 
 
 @click.group("data")
@@ -22,97 +24,113 @@ def command() -> None:
     """Make an observation set of files from other programs."""
 
 
-def table_options(function: Callable[..., None]) -> Callable[..., None]:
+@dataclass(frozen=True)
+class TableSaid:
     """What is said of tables beside their headings, and where the set goes."""
-    for option in reversed(_TABLE_OPTIONS):
-        function = option(function)
-    return function
 
-
-_TABLE_OPTIONS = (
-    click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder to write [default: NAME-set here]."),
-    click.option(
-        "--flange", metavar="CONVENTION", help="Orientation of the flange: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
-    ),
-    click.option("--target", metavar="CONVENTION", help="Orientation of the target, likewise."),
-    click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, if headings do not say [by their size]."),
-    click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, if headings do not say [by their size]."),
-    click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
-    click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner is fixed, the target on the flange."),
-    click.option(
+    out: Path | None = option("The folder to write [default: NAME-set here].", FOLDER)
+    flange: str | None = option(
+        "Orientation of the flange: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz.", metavar="CONVENTION"
+    )
+    target: str | None = option("Orientation of the target, likewise.", metavar="CONVENTION")
+    length: str | None = option("Unit of lengths, if headings do not say [by their size].", ["mm", "m"])
+    angle: str | None = option("Unit of angles, if headings do not say [by their size].", ["deg", "rad"])
+    eye_in_hand: bool = option("The scanner is on the flange.")
+    eye_to_hand: bool = option("The scanner is fixed, the target on the flange.")
+    flange_inverted: bool | None = option(
+        "Whether the flange's columns are the pose of the base as the flange sees it, or of the flange in the base.",
+        None,
         "--flange-inverted/--flange-direct",
         default=None,
-        help="Whether the flange's columns are the pose of the base as the flange sees it, or of the flange in the base.",
-    ),
-    click.option(
+    )
+    target_inverted: bool | None = option(
+        "Whether the target's columns are the pose of the camera as the target sees it, or of the target as the camera sees it.",
+        None,
         "--target-inverted/--target-direct",
         default=None,
-        help="Whether the target's columns are the pose of the camera as the target sees it, or of the target as the camera sees it.",
-    ),
-    click.option(
-        "--column", "columns", multiple=True, metavar="OURS=FILE", help="What the file calls a column, e.g. time_s=Time (repeatable)."
-    ),
-    click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file."),
-    click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm."),
-    click.option(
-        "--diameter", "diameter_mm", type=click.FloatRange(0, min_open=True), metavar="MM", help="Diameter of the sphere in line profiles."
-    ),
-    click.option(
-        "--measured", "by_instrument", is_flag=True, help="An instrument measured the points, though the arm itself gives them to rounding."
-    ),
-    click.option("--force", is_flag=True, help="Replace the set if it exists."),
-    click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
-)
+    )
+    columns: tuple[str, ...] = option("What the file calls a column, e.g. time_s=Time (repeatable).", None, "--column", metavar="OURS=FILE")
+    robot: str | None = option("The arm of joint angles: one of the tool's, or a robot file.", metavar="ROBOT")
+    noise: tuple[float, float, float] | None = option("Sigma of one measured point, mm.", ABOVE_ZERO, nargs=3, metavar="X Y Z")
+    diameter: float | None = option("Diameter of the sphere in line profiles.", ABOVE_ZERO, metavar="MM")
+    by_instrument: bool = option("An instrument measured the points, though the arm itself gives them to rounding.", None, "--measured")
+    force: bool = option("Replace the set if it exists.")
+
+    def folder(self, first: Path) -> Path:
+        """The folder to write. Raises ConfigError where it exists. first: what the set is called after."""
+        from mbcacq.workflow.load import refuse_existing
+
+        folder = self.out or Path(f"{first.stem}-set")
+        refuse_existing(folder, self.force, f"{folder} exists; give another --out, or --force to replace it")
+        return folder
+
+    def options(self) -> TableOptions:
+        """Raises ConfigError."""
+        from mbcacq.errors import ConfigError
+        from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
+        from mbcacq.recording.datasets.cell_yaml import robot_of
+        from mbcacq.recording.datasets.loose_table import TableOptions
+
+        if wrong := [text for text in self.columns if "=" not in text]:
+            raise ConfigError(f"--column {wrong[0]}: give OURS=FILE, such as time_s=Time")
+        return TableOptions(
+            flange=self.flange,
+            target=self.target,
+            length=self.length,
+            angle=self.angle,
+            measurement=ARTEFACT_IN_SCANNER if self.eye_in_hand else TARGET_IN_BASE if self.eye_to_hand else None,
+            flange_inverted=self.flange_inverted,
+            target_inverted=self.target_inverted,
+            columns={ours: file for ours, _, file in (text.partition("=") for text in self.columns)},
+            robot=robot_of(self.robot) if self.robot else None,
+            noise_mm=self.noise,
+            diameter_mm=self.diameter,
+            by_instrument=self.by_instrument,
+        )
 
 
-_BOARDS = ("charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles")
-
-
-def image_options(function: Callable[..., None]) -> Callable[..., None]:
+@dataclass(frozen=True)
+class BoardSaid:
     """What is said of images of a board."""
-    for option in reversed(_IMAGE_OPTIONS):
-        function = option(function)
-    return function
+
+    poses: Path | None = option("Images: the table of the arm's poses, a row for each.", FILE)
+    board: str | None = option("Images: what they show.", BOARDS)
+    size: str | None = option(
+        "Squares of a charuco board, inner corners of a chessboard, markers, or circles of the board.", metavar="COLUMNSxROWS"
+    )
+    pitch: float | None = option("Side of a square, or distance of centres.", ABOVE_ZERO, metavar="MM")
+    inner: float | None = option("Side of a marker, or diameter of a circle [half the pitch].", ABOVE_ZERO, metavar="MM")
+    dictionary: str | None = option("Dictionary of the markers [5X5_100, april: APRILTAG_36h11].")
+    camera: Path | None = option("File of the intrinsics (OpenCV, ROS, Kalibr, COLMAP) [estimated].")
+
+    def shown(self) -> Board:
+        """The board. Raises ConfigError where something must be said of it."""
+        from mbcacq.camera.board import board_of
+        from mbcacq.errors import ConfigError
+
+        if not (self.board and self.size and self.pitch):
+            missing = [f"--{name}" for name in ("board", "size", "pitch") if not getattr(self, name)]
+            raise ConfigError(f"{', '.join(missing)}: missing; say which board the images show")
+        return board_of(self.board, self.size, self.pitch, self.inner, self.dictionary)
+
+    def read(self, files: tuple[Path, ...], options: TableOptions) -> UnderstoodTable:
+        """The set of images. Raises ConfigError where something must be said of the board."""
+        from mbcacq.errors import ConfigError
+        from mbcacq.recording.datasets.image_set import read_images
+        from mbcacq.recording.datasets.loose_table import table_of
+
+        board = self.shown()
+        if self.poses is None:
+            raise ConfigError("--poses of the images: missing; say where the arm stood")
+        return read_images(files, table_of(self.poses, options), board, self.camera, options)
 
 
-_IMAGE_OPTIONS = (
-    click.option("--poses", type=click.Path(path_type=Path, dir_okay=False), help="Images: the table of the arm's poses, a row for each."),
-    click.option("--board", "kind", type=click.Choice(_BOARDS), help="Images: what they show."),
-    click.option(
-        "--size",
-        metavar="COLUMNSxROWS",
-        help="Squares of a charuco board, inner corners of a chessboard, markers, or circles of the board.",
-    ),
-    click.option("--pitch", type=click.FloatRange(0, min_open=True), metavar="MM", help="Side of a square, or distance of centres."),
-    click.option(
-        "--inner", type=click.FloatRange(0, min_open=True), metavar="MM", help="Side of a marker, or diameter of a circle [half the pitch]."
-    ),
-    click.option("--dictionary", help="Dictionary of the markers [5X5_100, april: APRILTAG_36h11]."),
-    click.option("--camera", type=click.Path(path_type=Path), help="File of the intrinsics (OpenCV, ROS, Kalibr, COLMAP) [estimated]."),
-)
-
-
-@command.command("new")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@image_options
-@table_options
+@subcommand("new", command)
 def new(
-    files: tuple[Path, ...],
-    poses: Path | None,
-    kind: str | None,
-    size: str | None,
-    pitch: float | None,
-    inner: float | None,
-    dictionary: str | None,
-    camera: Path | None,
-    out: Path | None,
-    columns: tuple[str, ...],
-    robot: str | None,
-    noise: tuple[float, float, float] | None,
-    force: bool,
-    as_json: bool,
-    **said: Any,
-) -> None:
+    files: tuple[Path, ...] = argument(required=True),
+    board: BoardSaid = BoardSaid,  # type: ignore[assignment]
+    said: TableSaid = TableSaid,  # type: ignore[assignment]
+) -> Answer:
     """Make an observation set of FILES and say how they were understood.
 
     One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot). It also has the
@@ -132,55 +150,18 @@ def new(
     """
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
 
-    folder = _free_folder(out or Path(f"{files[0].stem}-set"), force)
-    options = options_of(columns, robot, noise, said)
-    board = {"--poses": poses, "--board": kind, "--size": size, "--pitch": pitch}
-    if any(value is not None for value in (*board.values(), inner, dictionary, camera)):
-        _write_images(files, board, (inner, dictionary, camera), options, folder, as_json)
-    else:
-        _write(read_hand_eye_files(files, options), folder, as_json)
+    folder, options = said.folder(files[0]), said.options()
+    images = any(getattr(board, field.name) is not None for field in fields(board))
+    return _written(board.read(files, options) if images else read_hand_eye_files(files, options), folder)
 
 
-def _write_images(
-    files: tuple[Path, ...],
-    board: dict[str, Any],
-    more: tuple[float | None, str | None, Path | None],
-    options: TableOptions,
-    folder: Path,
-    as_json: bool,
-) -> None:
-    """The set of images. board: what must be said of them; more: side or diameter, dictionary, file of the intrinsics."""
-    from mbcacq.camera.board import board_of
-    from mbcacq.errors import ConfigError
-    from mbcacq.recording.datasets.hand_eye_sets import table_of
-    from mbcacq.recording.datasets.image_set import read_images
-
-    if missing := [name for name, value in board.items() if value is None]:
-        raise ConfigError(f"{', '.join(missing)} of the images: missing; say which board they show and where the arm stood")
-    inner, dictionary, camera = more
-    shown = board_of(board["--board"], board["--size"], board["--pitch"], inner, dictionary)
-    _write(read_images(files, table_of(board["--poses"], options), shown, camera, options), folder, as_json)
-
-
-@command.command("merge")
-@click.argument("arm", type=click.Path(path_type=Path))
-@click.argument("measured", type=click.Path(path_type=Path))
-@click.option(
-    "--standstill", type=click.FloatRange(0.05, 60), default=0.5, show_default=True, help="Shortest rest of the arm that is a pose, s."
-)
-@table_options
+@subcommand("merge", command)
 def merge(
-    arm: Path,
-    measured: Path,
-    standstill: float,
-    out: Path | None,
-    columns: tuple[str, ...],
-    robot: str | None,
-    noise: tuple[float, float, float] | None,
-    force: bool,
-    as_json: bool,
-    **said: Any,
-) -> None:
+    arm: Path = argument(),
+    measured: Path = argument(),
+    standstill: float = option("Shortest rest of the arm that is a pose, s.", click.FloatRange(0.05, 60), default=0.5),
+    said: TableSaid = TableSaid,  # type: ignore[assignment]
+) -> Answer:
     """Make an observation set of two logs of one motion: ARM (joint angles with --robot, or poses of the flange) and MEASURED (what a
     tracker, camera or scanner saw of a target), each in time.
 
@@ -194,45 +175,22 @@ def merge(
     from mbcacq.recording.datasets.loose_table import UnderstoodTable, understood
     from mbcacq.recording.datasets.merge import RestRule, merge_logs
 
-    folder = _free_folder(out or Path(f"{arm.stem}-set"), force)
-    options = options_of(columns, robot, noise, said)
+    folder, options = said.folder(arm), said.options()
     merged = merge_logs(arm, measured, options.columns, RestRule(standstill))
     found = understood(merged.table, replace(options, columns={}))
-    _write(UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder, as_json)
+    return _written(UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder)
 
 
-def _free_folder(folder: Path, force: bool) -> Path:
-    """The folder to write. Raises ConfigError where it exists."""
-    from mbcacq.workflow.load import refuse_existing
-
-    refuse_existing(folder, force, f"{folder} exists; give another --out, or --force to replace it")
-    return folder
-
-
-def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
+def _written(found: UnderstoodTable, folder: Path) -> Answer:
     """Write the set, and say how it was understood."""
     from mbcacq.recording.datasets.observation_set import write_observation_set
 
     obs = found.observations
     write_observation_set(obs, folder)
-    if as_json:
-        content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
-        more = {} if obs.images is None else {"images": obs.images.to_dict()}
-        echo(json.dumps({**content, **more, "understood": list(found.sentences)}))
-        return
-    for sentence in found.sentences:
-        echo(sentence)
-    echo(f"observation set: {folder}")
-    say_next("calibrate with it", command_line("calibrate", folder, "--hand-eye-only" if obs.cell.robot.of_flange_poses else ""))
-
-
-def options_of(columns: tuple[str, ...], robot: str | None, noise: tuple[float, float, float] | None, said: dict[str, Any]) -> TableOptions:
-    """The options of a table as the command line gives them. Raises ConfigError."""
-    from mbcacq.errors import ConfigError
-    from mbcacq.recording.datasets.loose_table import TableOptions, robot_of
-
-    named = {ours: file for ours, _, file in (text.partition("=") for text in columns)}
-    wrong = [text for text in columns if "=" not in text]
-    if wrong:
-        raise ConfigError(f"--column {wrong[0]}: give OURS=FILE, such as time_s=Time")
-    return TableOptions(columns=named, robot=robot_of(robot) if robot else None, noise_mm=noise, **said)
+    content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
+    more = {} if obs.images is None else {"images": obs.images.to_dict()}
+    return Answer(
+        {**content, **more, "understood": list(found.sentences)},
+        [*found.sentences, f"observation set: {folder}"],
+        ("calibrate with it", command_line("calibrate", folder, "--hand-eye-only" if obs.cell.robot.of_flange_poses else "")),
+    )

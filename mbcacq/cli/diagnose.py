@@ -7,109 +7,76 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, put_to_use, say_next
+from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     import mbcacq
 
 
-@click.command(name="diagnose")
-@click.argument("data", nargs=-1, required=True, type=RunPath())
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
-@click.option("--all", "whole", is_flag=True, help="Print all figures, limits and notes, not one screen of them.")
-@click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
-@click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
-@click.option(
-    "--rrd",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write error arrows, or channels over time, before and after as a rerun recording.",
-)
-@click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
-@click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
-@click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
-@click.option("--free", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable).")
-@click.option(
-    "--check",
-    multiple=True,
-    type=RunPath(),
-    metavar="OTHER",
-    help="Try what was learnt on this recording of the same arm (repeatable): only its base, tool and stations are fitted.",
-)
-@click.option(
-    "--calibrate",
-    "with_found",
-    is_flag=True,
-    help="Then calibrate with what was found: result.json and bar.svg (the bar before, after geometry, after effects) go into the folder "
-    "with-effects of the run, or of the current folder.",
-)
-@click.option("--place", type=click.Choice(["fitted", "known"]), default="fitted", help="With --check known: nothing is fitted.")
-@click.option(
-    "--simulation",
-    multiple=True,
-    type=click.Path(path_type=Path, exists=True),
-    metavar="SIMULATED",
-    help="Compare with this instead of the built-in model: another simulator's set for the same poses or motion (one for each recording), "
-    "or a model file that MuJoCo runs (MJCF, URDF).",
-)
-@click.option(
-    "--propose",
-    is_flag=False,
-    flag_value="proposed-effect",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="[DIR]",
-    help="Search short formulas for unmodelled effects, and write the best as a package of an effect into DIR [default: proposed-effect].",
-)
-@click.option(
-    "--effect-file",
-    "effect_files",
-    multiple=True,
-    type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    metavar="FILE.py",
-    help="Try the effect of this Python file, whose code is run, next to those of the catalogue (repeatable).",
-)
-@click.option(
-    "--next",
-    "next_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="NEXT.yaml",
-    help="Write the poses that would decide most of what is left open as a plan, which runs: mbcacq run --extend RUN NEXT.yaml.",
-)
-@click.option(
-    "--minutes",
-    type=click.FloatRange(0.01),
-    default=OPTIONS.minutes,
-    show_default=True,
-    help="End the search after so many minutes. The verdict is then 'cannot tell', with the effects found so far.",
-)
-@click.option("--evidence", "look", is_flag=True, help="Only compute the evidence as it stands, without cross-validation; takes seconds.")
-@click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
+@subcommand("diagnose")
 def command(
-    data: tuple[Path, ...],
-    out: Path | None,
-    whole: bool,
     as_json: bool,
-    report: Path | None,
-    rrd: Path | None,
-    workers: int | None,
-    phases: tuple[str, ...],
-    hold: tuple[str, ...],
-    free: tuple[str, ...],
-    check: tuple[Path, ...],
-    with_found: bool,
-    place: str,
-    simulation: tuple[Path, ...],
-    propose: Path | None,
-    effect_files: tuple[Path, ...],
-    next_file: Path | None,
-    minutes: float,
-    look: bool,
-    write_model: Path | None,
-) -> None:
+    data: tuple[Path, ...] = argument(RunPath(), required=True),
+    out: Path | None = option("Write the diagnosis to this JSON file.", FILE),
+    whole: bool = option("Print all figures, limits and notes, not one screen of them.", None, "--all"),
+    report: Path | None = option("Write an HTML report with pictures.", FILE),
+    rrd: Path | None = option("Write error arrows, or channels over time, before and after as a rerun recording.", FILE),
+    workers: int | None = option("Processes that share the cross-validation (default: one for each processor core).", click.IntRange(1)),
+    phases: tuple[str, ...] = option("Use poses of this phase only (repeatable) [default: all but verification].", None, "--phase"),
+    hold: tuple[str, ...] = option("Keep this parameter at its nominal value, e.g. d_2 (repeatable).", metavar="NAME"),
+    free: tuple[str, ...] = option("Free a parameter that would be held as redundant (repeatable).", metavar="NAME"),
+    check: tuple[Path, ...] = option(
+        "Try what was learnt on this recording of the same arm (repeatable): only its base, tool and stations are fitted.",
+        RunPath(),
+        metavar="OTHER",
+    ),
+    with_found: bool = option(
+        "Then calibrate with what was found: result.json and bar.svg (the bar before, after geometry, after effects) go into the "
+        "folder with-effects of the run, or of the current folder.",
+        None,
+        "--calibrate",
+    ),
+    place: str = option("With --check known: nothing is fitted.", ["fitted", "known"], default="fitted"),
+    simulation: tuple[Path, ...] = option(
+        "Compare with this instead of the built-in model: another simulator's set for the same poses or motion (one for each "
+        "recording), or a model file that MuJoCo runs (MJCF, URDF).",
+        click.Path(path_type=Path, exists=True),
+        metavar="SIMULATED",
+    ),
+    propose: Path | None = option(
+        "Search short formulas for unmodelled effects, and write the best as a package of an effect into DIR [default: proposed-effect].",
+        FOLDER,
+        flag_value="proposed-effect",
+        metavar="[DIR]",
+        is_flag=False,
+    ),
+    effect_files: tuple[Path, ...] = option(
+        "Try the effect of this Python file, whose code is run, next to those of the catalogue (repeatable).",
+        click.Path(path_type=Path, dir_okay=False, exists=True),
+        "--effect-file",
+        metavar="FILE.py",
+    ),
+    next_file: Path | None = option(
+        "Write the poses that would decide most of what is left open as a plan, which runs: mbcacq run --extend RUN NEXT.yaml.",
+        FILE,
+        "--next",
+        metavar="NEXT.yaml",
+    ),
+    minutes: float = option(
+        "End the search after so many minutes. The verdict is then 'cannot tell', with the effects found so far.",
+        click.FloatRange(0.01),
+        default=OPTIONS.minutes,
+    ),
+    look: bool = option("Only compute the evidence as it stands, without cross-validation; takes seconds.", None, "--evidence"),
+    write_model: Path | None = option("Write the model file with what was found as MJCF.", FILE),
+) -> Answer:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
 
     In the folder of a run the diagnosis is kept (diagnosis.json, diagnosis.rrd): mbcacq report and mbcacq view show it from then on.
@@ -131,8 +98,7 @@ def command(
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
     if look:
         with with_added(effect_files):
-            print_evidence(data, options, out, as_json)
-        return
+            return evidence_of(data, options, out)
     with StepProgress() as progress, with_added(effect_files), opened_once():
         progress("reading the recording")
         found = mbcacq.diagnose(
@@ -163,14 +129,11 @@ def command(
                 dry = "--dry-run" if found.observations is not None and found.observations.cell.simulated else "--arm"
                 then = "measure them", command_line("run", next_file, "--extend", data[0], dry)
     if out is not None:
-        from mbcacq.files.atomic_write import write_file
-
         write_file(out, found.to_json() + "\n")
-    echo(found.to_json() if as_json else found.in_words(calibrated=with_found, whole=whole))
-    for line in calibrated:
-        echo(line, err=as_json)
-    if not as_json:
-        say_next(*then)
+    if as_json:
+        for line in calibrated:
+            echo(line, err=True)
+    return Answer(found.to_json(), [found.in_words(calibrated=with_found, whole=whole), *calibrated], then)
 
 
 def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
@@ -208,7 +171,7 @@ def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
     return ["", *planned.sentences, *written]
 
 
-def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, out: Path | None, as_json: bool) -> None:
+def evidence_of(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, out: Path | None) -> Answer:
     """The evidence of one recording, as JSON or in words."""
     import json
 
@@ -221,12 +184,8 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
     evidence = mbcacq.weigh_evidence(data[0], options)
     text = json.dumps({"format": "mbcacq-evidence/1", **plain(evidence)}, allow_nan=False)
     if out is not None:
-        from mbcacq.files.atomic_write import write_file
-
         write_file(out, text + "\n")
-    echo(text if as_json else evidence_in_words(evidence))
-    if not as_json:
-        say_next("test what it names on held-out poses", command_line("diagnose", *data))
+    return Answer(text, [evidence_in_words(evidence)], ("test what it names on held-out poses", command_line("diagnose", *data)))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

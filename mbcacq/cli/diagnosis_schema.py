@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import click
-
+from mbcacq.cli.declared import subcommand
 from mbcacq.cli.terminal import echo
 
 
-@click.command("diagnosis-schema")
+@subcommand("diagnosis-schema")
 def command() -> None:
     """Print the JSON Schema of what mbcacq diagnose --json prints, format mbcacq-diagnosis/3."""
     from mbcacq.diagnosis.schema import schema_text

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
@@ -25,17 +25,18 @@ COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
 DEVICES = ("robot", "scanner", "positioner", "sensor", "devices")
 
 
-@click.command("doctor")
-@click.argument("plan", required=False, type=PlanPath())
-@click.option("--protocol", is_flag=True, help="Instead: a protocol for the first contact of PLAN with real devices, to be ticked.")
-@click.option(
-    "--evidence", type=RunPath(every_kind=True), metavar="RUN", help="Instead: what the devices of a run said, as one JSON file to be sent."
-)
-@click.option("--anonymous", is_flag=True, help="With --evidence: without addresses, users and serial numbers.")
-@click.option("--out", type=click.Path(path_type=Path), help="Where --protocol and --evidence write to [default: stdout].")
-@click.option("--arm", is_flag=True, help="Connect a real robot too, which can switch its drives on; it is not moved.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(plan: Path | None, protocol: bool, evidence: Path | None, anonymous: bool, out: Path | None, arm: bool, as_json: bool) -> None:
+@subcommand("doctor")
+def command(
+    as_json: bool,
+    plan: Path | None = argument(PlanPath(), required=False),
+    protocol: bool = option("Instead: a protocol for the first contact of PLAN with real devices, to be ticked."),
+    evidence: Path | None = option(
+        "Instead: what the devices of a run said, as one JSON file to be sent.", RunPath(every_kind=True), metavar="RUN"
+    ),
+    anonymous: bool = option("With --evidence: without addresses, users and serial numbers."),
+    out: Path | None = option("Where --protocol and --evidence write to [default: stdout]."),
+    arm: bool = option("Connect a real robot too, which can switch its drives on; it is not moved."),
+) -> Answer | None:
     """Look at this computer: Python, libraries, drivers, disk, real-time rights, pictures; with PLAN also at its ports and network
     interface, and ask every device who it is.
 
@@ -50,8 +51,7 @@ def command(plan: Path | None, protocol: bool, evidence: Path | None, anonymous:
       mbcacq doctor --evidence latest --anonymous --out evidence.json
     """
     if protocol or evidence is not None:
-        write(page_of(plan) if evidence is None else json_of(evidence, anonymous), out)
-        return
+        return write(page_of(plan) if evidence is None else json_of(evidence, anonymous), out)
     from mbcacq.doctor import checkup
 
     loaded = None
@@ -67,12 +67,13 @@ def command(plan: Path | None, protocol: bool, evidence: Path | None, anonymous:
                 progress.clear()
                 print_line(line)
     wrong = [line for line in found if line.level == "error"]
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}))
-    else:
-        say_next(*next_step(plan, bool(wrong)))
-    if wrong:
-        sys.exit(ExitCode.UNREACHABLE if any(line.topic.startswith(DEVICES) for line in wrong) else ExitCode.USAGE)
+
+    def refuse_errors() -> None:
+        if wrong:
+            sys.exit(ExitCode.UNREACHABLE if any(line.topic.startswith(DEVICES) for line in wrong) else ExitCode.USAGE)
+
+    document = {"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}
+    return Answer(document, then=next_step(plan, bool(wrong)), end=refuse_errors)
 
 
 def next_step(plan: Path | None, wrong: bool) -> tuple[str, str]:
@@ -110,7 +111,6 @@ def write(text: str, out: Path | None) -> None:
 
 def print_line(line: CheckupLine) -> None:
     """One line, and its cure below it."""
-    colour = False if os.environ.get("NO_COLOR") else None
-    echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]), color=colour)
+    echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]))
     if line.cure:
         echo(f"         -> {line.cure}")

@@ -2,90 +2,77 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath, folder_of, judge_first
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 from mbcacq.quantities import K, uncertainty
 
 
-@click.command("export")
-@click.argument("run", type=RunPath())
-@click.option("--observations", type=click.Path(path_type=Path, file_okay=False), help="Write an observation set (YAML, CSV) there.")
-@click.option("--scans", is_flag=True, help="With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose).")
-@click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
-@click.option("--force", is_flag=True, help="Replace what is already there.")
-@click.option("--simulated-anyway", is_flag=True, help="With --results: also write the calibration of a dry run.")
-@click.option(
-    "--results",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
-)
-@click.option(
-    "--only",
-    metavar="FORMAT",
-    multiple=True,
-    help="With --results: these formats alone (result, csv, kuka, ros, mjcf, urdf, those of further packages).",
-)
-@click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA.")
-@click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME.")
-@click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against.")
-@click.option("--urdf", type=click.Path(path_type=Path), help="With --results: a URDF or xacro to write a calibrated copy of.")
-@click.option("--joint", "joints", multiple=True, help="With --urdf: its moving joints, base first (default: all revolute ones).")
-@click.option("--flange-frame", default="tool0", show_default=True, help="With --results: name of the flange in ROS.")
-@click.option("--scanner-frame", default="scanner_frame", show_default=True, help="With --results: name of the scanner in ROS.")
-@click.option(
-    "--artefact",
-    metavar="ID",
-    help="RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.",
-)
-@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="With --artefact: the file to write.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
+@subcommand("export")
 def command(
-    run: Path,
-    observations: Path | None,
-    scans: bool,
-    trajectory: Path | None,
-    force: bool,
-    simulated_anyway: bool,
-    as_json: bool,
-    **others: Any,
-) -> None:
+    run: Path = argument(RunPath()),
+    observations: Path | None = option("Write an observation set (YAML, CSV) there.", FOLDER),
+    scans: bool = option("With --observations: the raw clouds as well (scans/POSE.ply, first exposure of each pose)."),
+    trajectory: Path | None = option("Write the controller cycles as a trajectory set.", FOLDER),
+    force: bool = option("Replace what is already there."),
+    simulated_anyway: bool = option("With --results: also write the calibration of a dry run."),
+    results: Path | None = option(
+        "Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.", FOLDER
+    ),
+    only: tuple[str, ...] = option(
+        "With --results: these formats alone (result, csv, kuka, ros, mjcf, urdf, those of further packages).", metavar="FORMAT"
+    ),
+    tool: int = option("With --results: number of TOOL_DATA.", click.IntRange(1, 128), default=1),
+    tool_name: str = option("With --results: TOOL_NAME.", default="mbcacq scanner"),
+    config_dat: Path | None = option("With --results: a $config.dat to write a unified diff against."),
+    urdf: Path | None = option("With --results: a URDF or xacro to write a calibrated copy of."),
+    joints: tuple[str, ...] = option("With --urdf: its moving joints, base first (default: all revolute ones).", None, "--joint"),
+    flange_frame: str = option("With --results: name of the flange in ROS.", default="tool0"),
+    scanner_frame: str = option("With --results: name of the scanner in ROS.", default="scanner_frame"),
+    artefact: str | None = option(
+        "RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.", metavar="ID"
+    ),
+    output: Path | None = option("With --artefact: the file to write.", FILE),
+) -> Answer:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
     import mbcacq
     from mbcacq.workflow.export import export_artefact
 
-    results, artefact, output = (others.pop(name) for name in ("results", "artefact", "output"))
+    targets = mbcacq.Targets(
+        only=only,
+        tool=tool,
+        tool_name=tool_name,
+        config_dat=config_dat,
+        urdf=urdf,
+        joints=joints,
+        flange_frame=flange_frame,
+        scanner_frame=scanner_frame,
+    )
     wanted = {"observations": observations, "trajectory": trajectory, "results": results}
     written = []
     with StepProgress() as steps:
         steps.begin("reading and writing")
         if artefact is None or any(wanted.values()):
-            written += mbcacq.export(
-                run, scans=scans, targets=mbcacq.Targets(**others), force=force, simulated_anyway=simulated_anyway, **wanted
-            )
+            written += mbcacq.export(run, scans=scans, targets=targets, force=force, simulated_anyway=simulated_anyway, **wanted)
         if artefact is not None:
             written.append(export_artefact(run, artefact, output, force=force))
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-export/1", "written": written}))
-        return
-    for sentence in _caveats(run, results, written):
-        echo(f"*** {sentence} ***", err=True)
-    for one in written:
-        one.pop("simulated", None)
-        for note in one.pop("notes", ()):
-            echo(f"note: {note}", err=True)
-        more = ", ".join(
-            f"U = {uncertainty(K * v)} mm (k = 2)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file"
-        )
-        echo(one["file"] + (f": {more}" if more else ""))
-    say_next(*next_step(run, observations, results, trajectory, None if artefact is None else written[-1]["file"]))
+    shown = [_line_of(one) for one in written]
+    notes = [note for one in written for note in one.get("notes", ())]
+    then = next_step(run, observations, results, trajectory, None if artefact is None else written[-1]["file"])
+    return Answer({"format": "mbcacq-export/1", "written": written}, shown, then, _caveats(run, results, written), notes)
+
+
+def _line_of(one: dict[str, Any]) -> str:
+    """A file that was written, with what is in it."""
+    figures = {key: value for key, value in one.items() if key not in ("file", "simulated", "notes")}
+    more = ", ".join(f"U = {uncertainty(K * v)} mm (k = 2)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in figures.items())
+    return one["file"] + (f": {more}" if more else "")
 
 
 def next_step(

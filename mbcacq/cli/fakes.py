@@ -6,21 +6,21 @@ import signal
 import time
 from pathlib import Path
 
-import click
-
+from mbcacq.cli.declared import argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
-@click.command("fakes")
-@click.argument("plan", type=PlanPath())
-@click.option("--fast", is_flag=True, help="Lock-step: as fast as the client answers, instead of real time at 4 ms.")
-@click.option("--program", type=click.Path(path_type=Path), help="Folder of a robot program: play it, and save its clouds (--clouds).")
-@click.option("--clouds", type=click.Path(path_type=Path), help="Folder for the clouds of --program, and joints.csv.")
-@click.option("--seed", default=0, show_default=True, help="Seed of everything the fake world draws.")
-def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, seed: int) -> None:
+@subcommand("fakes")
+def command(
+    plan: Path = argument(PlanPath()),
+    fast: bool = option("Lock-step: as fast as the client answers, instead of real time at 4 ms."),
+    program: Path | None = option("Folder of a robot program: play it, and save its clouds (--clouds)."),
+    clouds: Path | None = option("Folder for the clouds of --program, and joints.csv."),
+    seed: int = option("Seed of everything the fake world draws.", default=0),
+) -> None:
     """Start the fake cell of PLAN; run the plan from another terminal with `mbcacq run PLAN`. Ctrl-C ends it.
 
     With --program, a program of `mbcacq plan program` is played in the fake cell instead, as a rehearsal of `mbcacq collect`.

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import FOLDER, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import console as terminal_console
-from mbcacq.cli.terminal import echo
 
 MOST_NAMED = 10  # broken recordings and outliers that are printed; the page has more
 
 
-@click.command("fleet")
-@click.argument("runs", nargs=-1, required=True, type=RunPath(checks_too=True))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the results.")
-@click.option("--workers", type=click.IntRange(1), help="Processes on this computer (default: one for each processor core).")
-@click.option("--scheduler", metavar="ADDRESS", help="Use the dask cluster of this scheduler, e.g. tcp://host:8786.")
-@click.option("--diagnose", is_flag=True, help="Also look for effects that the model lacks.")
-@click.option("--verify", type=RunPath(), metavar="RESULT", help="Also try this calibrated arm (a result.json) on every recording.")
-@click.option(
-    "--place", type=click.Choice(["fitted", "known"]), default="fitted", show_default=True, help="With --verify known: nothing is fitted."
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@subcommand("fleet")
 def command(
-    runs: tuple[Path, ...],
-    out: Path,
-    workers: int | None,
-    scheduler: str | None,
-    diagnose: bool,
-    verify: Path | None,
-    place: str,
-    as_json: bool,
-) -> None:
+    runs: tuple[Path, ...] = argument(RunPath(checks_too=True), required=True),
+    out: Path = option("Folder of the results.", FOLDER, required=True),
+    workers: int | None = option("Processes on this computer (default: one for each processor core).", click.IntRange(1)),
+    scheduler: str | None = option("Use the dask cluster of this scheduler, e.g. tcp://host:8786.", metavar="ADDRESS"),
+    diagnose: bool = option("Also look for effects that the model lacks."),
+    verify: Path | None = option("Also try this calibrated arm (a result.json) on every recording.", RunPath(), metavar="RESULT"),
+    place: str = option("With --verify known: nothing is fitted.", ["fitted", "known"], default="fitted"),
+) -> Answer:
     """Calibrate and verify RUNS: recordings, folders below which recordings lie, or CSV tables with columns recording, arm, time.
 
     Writes fleet.parquet (a row for each recording), fleet.html (drift of each arm with control limits, arms of one type beside each other,
@@ -56,25 +44,17 @@ def command(
         found = mbcacq.evaluate_fleet(runs, out, task=task, workers=workers, scheduler=scheduler, progress=progress)
     outside = sorted({o.recording for o in found.outliers if o.recording})
     unlike = sorted({o.arm for o in found.outliers if o.recording is None})
-    if as_json:
-        broken = [{"recording": row.recording, "status": row.status, "reason": row.reason} for row in found.broken]
-        files = {"table": str(found.table), "page": str(found.page)}
-        content = {"recordings": len(found.rows), "broken": broken, "outside": outside, "unlike": unlike, "files": files}
-        echo(json.dumps({"format": "mbcacq-fleet/1", **content}))
-        return
-    echo(f"{len(found.rows)} recordings, {len(found.broken)} without a result, {len(outside)} outside the control limits of their arm")
-    for row in found.broken[:MOST_NAMED]:
-        echo(f"{row.recording}: {row.status}: {row.reason}")
+    broken = [{"recording": row.recording, "status": row.status, "reason": row.reason} for row in found.broken]
+    files = {"table": str(found.table), "page": str(found.page)}
+    content = {"recordings": len(found.rows), "broken": broken, "outside": outside, "unlike": unlike, "files": files}
+    lines = [f"{len(found.rows)} recordings, {len(broken)} without a result, {len(outside)} outside the control limits of their arm"]
+    lines += [f"{row.recording}: {row.status}: {row.reason}" for row in found.broken[:MOST_NAMED]]
     for recording in outside[:MOST_NAMED]:
-        names = sorted({o.name for o in found.outliers if o.recording == recording})
-        echo(f"{recording}: outside: {', '.join(names)}")
-    if unlike:
-        echo(f"unlike the other arms of the type: {', '.join(unlike)}")
-    for path in found.damaged:
-        echo(f"{path} was damaged; its recording was evaluated anew")
-    echo(f"table: {found.table}")
-    echo(f"page: {found.page}")
-    say_next("look at the arms over time", command_line("serve", out))
+        lines.append(f"{recording}: outside: {', '.join(sorted({o.name for o in found.outliers if o.recording == recording}))}")
+    lines += [f"unlike the other arms of the type: {', '.join(unlike)}"] if unlike else []
+    lines += [f"{path} was damaged; its recording was evaluated anew" for path in found.damaged]
+    lines += [f"{name}: {file}" for name, file in files.items()]
+    return Answer({"format": "mbcacq-fleet/1", **content}, lines, ("look at the arms over time", command_line("serve", out)))
 
 
 class FleetProgress:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.data import image_options
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.data import ABOVE_ZERO, BoardSaid
+from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 
@@ -23,40 +23,20 @@ if TYPE_CHECKING:
     from mbcacq.workflow.view_sources import FollowedArm, ImageFolder, PoseFile, TypedPoses, VideoCamera
 
 
-@click.command("hand-eye")
-@click.option("--images", type=click.Path(path_type=Path, file_okay=False), help="Folder into which the images fall.")
-@click.option("--device", metavar="CAMERA", help="Camera of OpenCV: its number, or the address of a stream.")
-@image_options
-@click.option("--follow", type=PlanPath(), help="Plan of an arm that is followed and never moved (follow: {} below robot).")
-@click.option("--flange", metavar="CONVENTION", help="Orientation of poses: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz.")
-@click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", default=True, help="The camera is on the flange [default].")
-@click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The camera is fixed, the board on the flange.")
-@click.option(
-    "--enough", default=0.1, show_default=True, type=click.FloatRange(0, min_open=True), help="U (k = 2) of x, y and z that ends it, mm."
-)
-@click.option("--wait", default=600.0, show_default=True, type=click.FloatRange(0), help="Time without a new view after which it ends, s.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("hand-eye"), help="Folder to write [hand-eye].")
-@click.option("--force", is_flag=True, help="Write into the folder although it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+@subcommand("hand-eye")
 def command(
-    images: Path | None,
-    device: str | None,
-    poses: Path | None,
-    kind: str | None,
-    size: str | None,
-    pitch: float | None,
-    inner: float | None,
-    dictionary: str | None,
-    camera: Path | None,
-    follow: Path | None,
-    flange: str | None,
-    measurement: Any,
-    enough: float,
-    wait: float,
-    out: Path,
-    force: bool,
-    as_json: bool,
-) -> None:
+    images: Path | None = option("Folder into which the images fall.", FOLDER),
+    device: str | None = option("Camera of OpenCV: its number, or the address of a stream.", metavar="CAMERA"),
+    said: BoardSaid = BoardSaid,  # type: ignore[assignment]
+    follow: Path | None = option("Plan of an arm that is followed and never moved (follow: {} below robot).", PlanPath()),
+    flange: str | None = option("Orientation of poses: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz.", metavar="CONVENTION"),
+    eye_in_hand: bool = option("The camera is on the flange [default]."),
+    eye_to_hand: bool = option("The camera is fixed, the board on the flange."),
+    enough: float = option("U (k = 2) of x, y and z that ends it, mm.", ABOVE_ZERO, default=0.1),
+    wait: float = option("Time without a new view after which it ends, s.", click.FloatRange(0), default=600.0),
+    out: Path = option("Folder to write.", FOLDER, default=Path("hand-eye")),
+    force: bool = option("Write into the folder although it exists."),
+) -> Answer:
     """Calibrate the hand-eye transformation of a camera view by view: after each, how well it is known and where the next view should be.
 
     Poses of the flange are typed or pasted, a line each; or they are the rows of --poses, or those of the arm of --follow. Type n where a
@@ -68,38 +48,38 @@ def command(
       mbcacq hand-eye --images incoming --board chessboard --size 9x6 --pitch 20 \\
         --poses flange.csv
     """
-    from mbcacq.camera.board import board_of
     from mbcacq.camera.intrinsics import read_intrinsics
     from mbcacq.devices.terminal_input import typed_line
     from mbcacq.errors import ConfigError
+    from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
     from mbcacq.recording.datasets.loose_table import TableOptions
     from mbcacq.workflow.hand_eye import HandEyeSession
     from mbcacq.workflow.load import refuse_existing
     from mbcacq.workflow.view_sources import ImageFolder, PoseFile, TypedPoses, VideoCamera, followed_arm
 
-    said = {"--board": kind, "--size": size, "--pitch": pitch}
-    if missing := [name for name, value in said.items() if value is None]:
-        raise ConfigError(f"{', '.join(missing)}: missing; say which board the images show")
+    board = said.shown()
     if (images is None) == (device is None):
         raise ConfigError("give the images' --images FOLDER, or the camera's --device NUMBER")
-    if poses is not None and follow is not None:
+    if said.poses is not None and follow is not None:
         raise ConfigError("poses are those of --poses or of --follow; give one of both")
-    if poses is None and follow is None and flange is None:
+    if said.poses is None and follow is None and flange is None:
         raise ConfigError("--flange CONVENTION is missing: how the poses that you type write their orientation, such as kuka, ur or abb")
     refuse_existing(out, force, f"{out} exists; give another --out, or --force to write into it")
-    board = board_of(str(kind), str(size), pitch or 0.0, inner, dictionary)
-    session = HandEyeSession(out, board, read_intrinsics(camera) if camera else None, measurement, enough)
+    if eye_in_hand and eye_to_hand:
+        raise ConfigError("the camera is on the flange or fixed; give one of --eye-in-hand and --eye-to-hand")
+    measurement = TARGET_IN_BASE if eye_to_hand else ARTEFACT_IN_SCANNER
+    session = HandEyeSession(out, board, read_intrinsics(said.camera) if said.camera else None, measurement, enough)
     with ExitStack() as stack:
         source: VideoCamera | ImageFolder = ImageFolder(images) if images else VideoCamera(str(device))
         arm: TypedPoses | PoseFile | FollowedArm
         if follow is not None:
             session.robot, arm = stack.enter_context(followed_arm(follow))
-        elif poses is not None:
-            arm = PoseFile(poses, TableOptions(flange=flange))
+        elif said.poses is not None:
+            arm = PoseFile(said.poses, TableOptions(flange=flange))
         else:
             arm = TypedPoses(lambda: typed_line(threading.Event()), str(flange), lambda text: echo(text, err=True))
         lead(session, source, arm, _Waiting(wait), flange)
-    _end(session, as_json)
+    return _ended(session)
 
 
 class _Waiting:
@@ -166,10 +146,10 @@ def _flange(T_base_flange: np.ndarray | None, convention: str | None) -> str:
     return f"{place}, {', '.join(f'{v:.0f}' for v in in_degrees(turn))}° ({orientations.in_words(word)})"
 
 
-def _end(session: HandEyeSession, as_json: bool) -> None:
-    """Write the observation set and show its calibration. Raises CalibrationError where the views are too few."""
+def _ended(session: HandEyeSession) -> Answer:
+    """Write the observation set; its calibration. Raises CalibrationError where the views are too few."""
     import mbcacq
-    from mbcacq.cli.calibrate import print_result
+    from mbcacq.cli.calibrate import lines_of
     from mbcacq.errors import CalibrationError
     from mbcacq.files.atomic_write import write_file
     from mbcacq.model.json_text import sealed_text
@@ -182,10 +162,8 @@ def _end(session: HandEyeSession, as_json: bool) -> None:
         )
     result = calibration_content(folder, mbcacq.CalibrationOptions(kinematics=False))
     file = write_file(session.folder / "result.json", sealed_text(result))
-    if as_json:
-        echo(json.dumps({**result, "enough": session.enough, "files": {"set": str(folder), "result": str(file)}}))
-        return
-    print_result(result)
     known = "" if session.enough else f", which is more than the {session.enough_mm:g} mm that were asked for: take more views"
-    echo(f"{len(session.views)} views; {session.known()}{known}")
-    say_next("write the transform for ROS, controllers and others", command_line("export", file, "--results", session.folder / "export"))
+    document = {**result, "enough": session.enough, "files": {"set": str(folder), "result": str(file)}}
+    lines = [*lines_of(result), f"{len(session.views)} views; {session.known()}{known}"]
+    then = "write the transform for ROS, controllers and others", command_line("export", file, "--results", session.folder / "export")
+    return Answer(document, lines, then, wide=True)

@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
-from mbcacq.cli.operator import MotionOptions, moves_an_arm
+from mbcacq.cli.calibrate import lines_of
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
+from mbcacq.model.json_text import fields_as_json
 
 
-@click.command("investigate")
-@click.argument("plan", required=False, type=PlanPath())
-@click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
-@click.option("--resume", type=click.Path(path_type=Path), metavar="FOLDER", help="Go on with this investigation; its decisions stand.")
-@click.option("--from", "recording", type=click.Path(path_type=Path), metavar="RUN", help="Begin with this finished run, and extend it.")
-@click.option("--poses", type=click.IntRange(24, 400), default=96, show_default=True, help="Most poses, those measured already included.")
-@click.option("--moves", type=click.IntRange(1), help="Most moves of artefacts to a station.")
-@click.option("--minutes", type=click.FloatRange(1), help="Longest duration, by the times that a plan takes for its poses and moves.")
-@click.option("--limit-mm", type=click.FloatRange(0.001), help="Error of length that matters; an effect below it need not be found.")
-@click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
-@moves_an_arm(
-    confirmed="speed, workspace and first target of every visit are typed", drawn="the fake cell, and of the views to choose from"
-)
-@click.option("--json", "as_json", is_flag=True, help="Print the decisions and the result as one JSON object on stdout.")
+@subcommand("investigate")
 def command(
-    plan: Path | None,
-    out: Path | None,
-    resume: Path | None,
-    recording: Path | None,
-    poses: int,
-    moves: int | None,
-    minutes: float | None,
-    limit_mm: float | None,
-    live: bool,
-    motion: MotionOptions,
     as_json: bool,
-) -> None:
+    plan: Path | None = argument(PlanPath(), required=False),
+    out: Path | None = option("Run folder [default: runs/TIME_NAME]."),
+    resume: Path | None = option("Go on with this investigation; its decisions stand.", metavar="FOLDER"),
+    recording: Path | None = option("Begin with this finished run, and extend it.", None, "--from", metavar="RUN"),
+    poses: int = option("Most poses, those measured already included.", click.IntRange(24, 400), default=96),
+    moves: int | None = option("Most moves of artefacts to a station.", click.IntRange(1)),
+    minutes: float | None = option("Longest duration, by the times that a plan takes for its poses and moves.", click.FloatRange(1)),
+    limit_mm: float | None = option("Error of length that matters; an effect below it need not be found.", click.FloatRange(0.001)),
+    live: bool = option("Serve the recording to a rerun viewer on 127.0.0.1 while it grows."),
+    motion: MotionOptions = MotionOptions,  # type: ignore[assignment]
+) -> Answer:
     """Measure with PLAN's cell, weigh all explanations, choose the next visit of a station, and stop when the cell is known.
 
     It begins with the 24 poses of PLAN that show most. It ends when no effect can hide or every effect is known beyond doubt, when
@@ -81,13 +70,7 @@ def command(
             echo(decision.sentence, err=as_json)
         done = going.finish()
     forget_failure()
-    if as_json:
-        from mbcacq.model.json_text import fields_as_json
-
-        echo(json.dumps({"decisions": [fields_as_json(d) for d in going.decisions], "result": done.to_dict()}))
-        return
-    from mbcacq.cli.calibrate import print_result
-
-    print_result(done.to_dict())
-    echo(f"how it was found: {going.page}")
-    say_next("calibrate with what was found", command_line("diagnose", going.folder, "--calibrate"))
+    document = {"decisions": [fields_as_json(d) for d in going.decisions], "result": done.to_dict()}
+    lines = [*lines_of(done.to_dict()), f"how it was found: {going.page}"]
+    then = "calibrate with what was found", command_line("diagnose", going.folder, "--calibrate")
+    return Answer(document, lines, then, wide=True)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
+from rich.table import Table
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_copy import copy
 from mbcacq.cli.plan_design import design
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.plan_program import program
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
+
+COLOURS = {"error": "red", "warning": "yellow", "info": "cyan"}
 
 
 @click.group("plan")
@@ -30,29 +33,18 @@ command.add_command(program)
 command.add_command(copy)
 
 
-@command.command("new")
-@click.option("--robot", help="One of the tool's by name (kr6_r900_2, ur10e, panda ...) or a robot file.")
-@click.option("--scanner", help="gocator-3210, or a YAML file with scanner and hand_eye.")
-@click.option("--artefact", help="One of the tool's by name (mbc-8) or an artefact file.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("plan.yaml"), show_default=True, help="The plan to write.")
-@click.option("--driver", help="Driver of the robot [default: kuka_rsi for a KUKA KR, else simulated, for dry runs].")
-@click.option("--stations", type=click.IntRange(2, 12), default=6, show_default=True, help="Places of the artefact to calibrate at.")
-@click.option("--poses", "count", type=click.IntRange(6, 400), default=36, show_default=True, help="Calibration poses at them.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the random views to choose from.")
-@click.option("--force", is_flag=True, help="Replace the file if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@subcommand("new", command)
 def new(
-    robot: str | None,
-    scanner: str | None,
-    artefact: str | None,
-    out: Path,
-    driver: str | None,
-    stations: int,
-    count: int,
-    seed: int,
-    force: bool,
-    as_json: bool,
-) -> None:
+    robot: str | None = option("One of the tool's by name (kr6_r900_2, ur10e, panda ...) or a robot file."),
+    scanner: str | None = option("gocator-3210, or a YAML file with scanner and hand_eye."),
+    artefact: str | None = option("One of the tool's by name (mbc-8) or an artefact file."),
+    out: Path = option("The plan to write.", default=Path("plan.yaml")),
+    driver: str | None = option("Driver of the robot [default: kuka_rsi for a KUKA KR, else simulated, for dry runs]."),
+    stations: int = option("Places of the artefact to calibrate at.", click.IntRange(2, 12), default=6),
+    count: int = option("Calibration poses at them.", click.IntRange(6, 400), "--poses", default=36),
+    seed: int = option("Seed of the random views to choose from.", default=0),
+    force: bool = option("Replace the file if it exists."),
+) -> Answer:
     """Make a plan from nothing: stations and views that this arm reaches, the scanner sees and the calibration learns from.
 
     \b
@@ -73,18 +65,15 @@ def new(
     options = NewPlanOptions(driver, stations, count, seed)
     with StepProgress() as steps:
         made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=steps.printed)
-    if as_json:
-        places = [str(s.id) for s in made.plan.stations]
-        echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))
-    else:
-        say_next("see what it can and cannot determine", command_line("plan", "check", out))
+    places = [str(s.id) for s in made.plan.stations]
+    document = {"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}
+    return Answer(document, then=("see what it can and cannot determine", command_line("plan", "check", out)))
 
 
-@command.command("show")
-@click.argument("plan", type=PlanPath())
-@click.option("--rrd", type=click.Path(path_type=Path), help="Also draw it: the arm on its way, as a recording for rerun.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
+@subcommand("show", command)
+def show(
+    plan: Path = argument(PlanPath()), rrd: Path | None = option("Also draw it: the arm on its way, as a recording for rerun.")
+) -> Answer:
     """Walk through PLAN: every pose with its joint angles, and the time it all takes."""
     from mbcacq.plan import expand, load
     from mbcacq.plan.routing import find_paths
@@ -102,22 +91,17 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
 
             steps.begin("drawing the arm on its path")
             write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
-    if as_json:
-        echo(json.dumps(content))
-        return
-    _print_steps(content)
-    _print_poses(content)
-    echo(_time_sentence(content))
-    say_next("find what is wrong with it", command_line("plan", "check", plan))
+    lines = [_steps(content), *_poses(content), _time_sentence(content)]
+    return Answer(content, lines, ("find what is wrong with it", command_line("plan", "check", plan)))
 
 
-@command.command("check")
-@click.argument("plan", type=PlanPath())
-@click.option("--quick", is_flag=True, help="Check only what would stop a run, not what the plan can see.")
-@click.option("--fix", is_flag=True, help="Write the plan with stations moved into reach, and without views that stay out of reach.")
-@click.option("--all", "every", is_flag=True, help="One line for each finding, instead of one for each kind and step.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> None:
+@subcommand("check", command)
+def check(
+    plan: Path = argument(PlanPath()),
+    quick: bool = option("Check only what would stop a run, not what the plan can see."),
+    fix: bool = option("Write the plan with stations moved into reach, and without views that stay out of reach."),
+    every: bool = option("One line for each finding, instead of one for each kind and step.", None, "--all"),
+) -> Answer:
     """Find what is wrong with PLAN (reach, limits, singularities, view, collisions), and what it can and cannot see.
 
     Errors end with exit code 2.
@@ -145,29 +129,20 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         findings += more
         findings += reach_findings(loaded)
     errors = sum(f.level == "error" for f in findings)
-    if as_json:
-        content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
-        content |= {"prospect": accuracy and accuracy.to_dict(), "visibility": effects and effects.to_dict()}
-        echo(json.dumps(content))
+    content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
+    content |= {"prospect": accuracy and accuracy.to_dict(), "visibility": effects and effects.to_dict()}
+    lines: list[Any] = [(f" {f}", (f.level, COLOURS[f.level])) for f in (findings if every else merged(findings))]
+    lines += sentences(accuracy, effects) if accuracy and effects else []
+    lines += [_time_sentence(content), *map(_axis_sentence, content["axes"])]
+    warnings = sum(f.level == "warning" for f in findings)
+    lines.append(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
+    if not errors:
+        then = "try it without hardware", command_line("run", plan, "--dry-run")
+    elif any(f.code == "move-station" for f in findings):
+        then = "let the stations be moved into reach", command_line("plan", "check", plan, "--fix")
     else:
-        colour = {"error": "red", "warning": "yellow", "info": "cyan"}
-        for f in findings if every else merged(findings):
-            echo(f" {f}", label=(f.level, colour[f.level]), color=_colour())
-        for line in sentences(accuracy, effects) if accuracy and effects else []:
-            echo(line)
-        echo(_time_sentence(content))
-        for axis in content["axes"]:
-            echo(_axis_sentence(axis))
-        warnings = sum(f.level == "warning" for f in findings)
-        echo(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
-        if not errors:
-            say_next("try it without hardware", command_line("run", plan, "--dry-run"))
-        elif any(f.code == "move-station" for f in findings):
-            say_next("let the stations be moved into reach", command_line("plan", "check", plan, "--fix"))
-        else:
-            say_next("correct the plan, then look again", command_line("plan", "check", plan))
-    if errors:
-        sys.exit(ExitCode.USAGE)
+        then = "correct the plan, then look again", command_line("plan", "check", plan)
+    return Answer(content, lines, then, end=lambda: sys.exit(ExitCode.USAGE) if errors else None)
 
 
 def _fixed(loaded: Any, plan: Path) -> Any:
@@ -184,24 +159,16 @@ def _fixed(loaded: Any, plan: Path) -> Any:
     return fixed
 
 
-def _colour() -> bool | None:
-    import os
-
-    return False if os.environ.get("NO_COLOR") else None
-
-
-def _print_steps(content: dict[str, Any]) -> None:
-    from rich.table import Table
-
+def _steps(content: dict[str, Any]) -> Table:
     table = Table(title=content["name"], title_justify="left")
     for name in ("step", "phase", "stations", "poses", "exposures"):
         table.add_column(name, justify="right" if name in ("poses", "exposures") else "left")
     for step in content["steps"]:
         table.add_row(step["name"], step["phase"], " ".join(step["stations"]), str(step["poses"]), str(step["exposures"]))
-    terminal_console().print(table)
+    return table
 
 
-def _print_poses(content: dict[str, Any]) -> None:
+def _poses(content: dict[str, Any]) -> Iterator[str]:
     """Plain lines, below the name of each step: a table fitted to a narrow terminal would cut the angles."""
     poses = content["poses"]
     if not poses:
@@ -209,12 +176,12 @@ def _print_poses(content: dict[str, Any]) -> None:
     station = max(len("station"), *(len(p["station"]) for p in poses))
     wide, digits = (8, 2) if len(poses[0]["q_deg"]) <= 6 else (7, 1)
     axes = "".join(f"{f'A{i + 1}':>{wide}}" for i in range(len(poses[0]["q_deg"])))
-    echo(f"{'pose':>4} {'at s':>5}  {'station':{station}} {'balls':>5}{axes}  via")
+    yield f"{'pose':>4} {'at s':>5}  {'station':{station}} {'balls':>5}{axes}  via"
     for before, p in zip([None, *poses], poses, strict=False):
         if before is None or p["step"] != before["step"]:
-            echo(f"{p['step']}:")
+            yield f"{p['step']}:"
         angles = "".join(f"{a:{wide}.{digits}f}" for a in p["q_deg"])
-        echo(f"{p['pose']:4} {p['start_s']:5.0f}  {p['station']:{station}} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip())
+        yield f"{p['pose']:4} {p['start_s']:5.0f}  {p['station']:{station}} {len(p['balls']):5}{angles}  {p['waypoints'] or ''}".rstrip()
 
 
 def _time_sentence(content: dict[str, Any]) -> str:

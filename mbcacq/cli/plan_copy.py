@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
+from mbcacq.cli.declared import FOLDER, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
 
 
-@click.command("copy")
-@click.argument("name")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path())
-@click.option("--force", is_flag=True, help="Replace what is already there.")
-def copy(name: str, folder: Path, force: bool) -> None:
+@subcommand("copy")
+def copy(
+    name: str = argument(), folder: Path = argument(FOLDER, default=Path()), force: bool = option("Replace what is already there.")
+) -> None:
     """Put the plan NAME that came with mbcacq, with its robot and artefact files, into FOLDER (default: here).
 
     \b

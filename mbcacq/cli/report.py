@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import click
-
-from mbcacq.cli.next_step import command_line, put_to_use, say_next
+from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 
 
-@click.command("report")
-@click.argument("run", type=RunPath(checks_too=True))
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The page [default: report.html in the folder of the run].")
-@click.option("--pdf", is_flag=True, help="A PDF on A4 instead of the page [default: report.pdf in the folder of the run].")
-@click.option("--diagnose", "with_diagnosis", is_flag=True, help="Make a diagnosis first, if there is none yet.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
-def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_json: bool) -> None:
+@subcommand("report")
+def command(
+    run: Path = argument(RunPath(checks_too=True)),
+    out: Path | None = option("The page [default: report.html in the folder of the run].", FILE),
+    pdf: bool = option("A PDF on A4 instead of the page [default: report.pdf in the folder of the run]."),
+    with_diagnosis: bool = option("Make a diagnosis first, if there is none yet.", None, "--diagnose"),
+) -> Answer:
     """Write the report of RUN: one HTML page that opens offline and prints well, or a PDF.
 
     RUN is a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set. A result that is there is used,
@@ -41,11 +38,8 @@ def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_jso
         raise ConfigError(f"{out} does not end in .pdf, as --pdf asks for; give another --out")
     with StepProgress() as progress:
         path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=progress)
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
-    else:
-        echo(str(path))
-        say_next(*next_step(run))
+    document = {"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}
+    return Answer(document, [str(path)], next_step(run))
 
 
 def next_step(run: Path) -> tuple[str, str]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 from mbcacq.quantities import significant
 
 
@@ -19,31 +18,20 @@ def command() -> None:
     """Make a robot file from a description that you have."""
 
 
-@command.command("import")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="The robot file [default: NAME.yaml here].")
-@click.option("--base", help="The link (URDF) or body (MJCF) that the arm stands on [asked, or guessed from the names].")
-@click.option("--flange", help="The link, body or site that carries the scanner [asked, or guessed from the names].")
-@click.option("--convention", type=click.Choice(["standard", "modified"]), help="Convention of a table of DH rows.")
-@click.option("--package", "packages", multiple=True, metavar="NAME=DIR", help="Folder of a ROS package that a xacro names.")
-@click.option("--arg", "arguments", multiple=True, metavar="NAME=VALUE", help="Value of an argument of a xacro.")
-@click.option("--name", help="Name of the arm [default: the file's own].")
-@click.option("--speed", type=click.FloatRange(0, 1000, min_open=True), help="Largest joint speed, in °/s, if the file states none.")
-@click.option("--force", is_flag=True, help="Replace the robot file if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@subcommand("import", command)
 def import_(
-    file: Path,
-    out: Path | None,
-    base: str | None,
-    flange: str | None,
-    convention: str | None,
-    packages: tuple[str, ...],
-    arguments: tuple[str, ...],
-    name: str | None,
-    speed: float | None,
-    force: bool,
     as_json: bool,
-) -> None:
+    file: Path = argument(),
+    out: Path | None = option("The robot file [default: NAME.yaml here]."),
+    base: str | None = option("The link (URDF) or body (MJCF) that the arm stands on [asked, or guessed from the names]."),
+    flange: str | None = option("The link, body or site that carries the scanner [asked, or guessed from the names]."),
+    convention: str | None = option("Convention of a table of DH rows.", ["standard", "modified"]),
+    packages: tuple[str, ...] = option("Folder of a ROS package that a xacro names.", None, "--package", metavar="NAME=DIR"),
+    arguments: tuple[str, ...] = option("Value of an argument of a xacro.", None, "--arg", metavar="NAME=VALUE"),
+    name: str | None = option("Name of the arm [default: the file's own]."),
+    speed: float | None = option("Largest joint speed, in °/s, if the file states none.", click.FloatRange(0, 1000, min_open=True)),
+    force: bool = option("Replace the robot file if it exists."),
+) -> Answer:
     """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, a table of DH rows (.csv, .yaml), or a UR's calibration.yaml.
 
     The rows are compared with the file's own forward kinematics at random joint angles. Packages that a xacro names are found by the
@@ -87,20 +75,18 @@ def import_(
     from mbcacq.files.atomic_write import write_file
 
     write_file(target, found.text)
-    if as_json:
-        about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
-        figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}
-        echo(json.dumps({"format": "mbcacq-robot-import/1", "file": str(target), **about, **figures}))
-        return
-    for remark in found.remarks:
-        echo(f"note: {remark}", err=True)
-    echo(f"{target}: {len(found.joints)} axes, {found.base} to {found.flange} ({', '.join(found.joints)})")
+    about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
+    figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}
     miss = f"{significant(found.miss_mm, 2)} mm and {significant(found.miss_rad, 2)} rad"
-    echo(f"at 200 random postures it agrees with {file.name} within {miss}")
+    lines = [
+        f"{target}: {len(found.joints)} axes, {found.base} to {found.flange} ({', '.join(found.joints)})",
+        f"at 200 random postures it agrees with {file.name} within {miss}",
+    ]
     if file.suffix.lower() == ".urdf":
-        echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
+        lines.append(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
     tools = ("--scanner", "gocator-3210", "--artefact", "mbc-8")
-    say_next("make a plan for it, here with a scanner of the tool's own", command_line("plan", "new", "--robot", target, *tools))
+    then = "make a plan for it, here with a scanner of the tool's own", command_line("plan", "new", "--robot", target, *tools)
+    return Answer({"format": "mbcacq-robot-import/1", "file": str(target), **about, **figures}, lines, then, notes=found.remarks)
 
 
 def _pairs(option: str, given: tuple[str, ...]) -> dict[str, str]:

@@ -2,44 +2,35 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
-from mbcacq.cli.operator import MotionOptions, moves_an_arm
+from mbcacq.cli.calibrate import answer_of_run
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
-from mbcacq.cli.terminal import echo, printable
+from mbcacq.cli.terminal import printable
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
 
 
-@click.command("run")
-@click.argument("plan", required=False, type=PlanPath())
-@click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
-@click.option("--resume", type=RunPath(), metavar="RUN", help="Go on with this run folder: poses already measured are skipped.")
-@click.option("--extend", type=RunPath(), metavar="RUN", help="Add the poses of PLAN to this finished run, at its own stations.")
-@click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
-@click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
-@click.option("--corrected", type=RunPath(), metavar="RESULT", help="Steer by this calibrated arm: result.json, or folder of a run.")
-@moves_an_arm()
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+@subcommand("run")
 def command(
-    plan: Path | None,
-    out: Path | None,
-    resume: Path | None,
-    extend: Path | None,
-    live: bool,
-    again: bool,
-    corrected: Path | None,
-    motion: MotionOptions,
-    as_json: bool,
-) -> None:
+    plan: Path | None = argument(PlanPath(), required=False),
+    out: Path | None = option("Run folder [default: runs/TIME_NAME]."),
+    resume: Path | None = option("Go on with this run folder: poses already measured are skipped.", RunPath(), metavar="RUN"),
+    extend: Path | None = option("Add the poses of PLAN to this finished run, at its own stations.", RunPath(), metavar="RUN"),
+    live: bool = option("Serve the recording to a rerun viewer on 127.0.0.1 while it grows."),
+    again: bool = option("With --resume: measure stations anew that were measured in part (the artefact was touched)."),
+    corrected: Path | None = option("Steer by this calibrated arm: result.json, or folder of a run.", RunPath(), metavar="RESULT"),
+    motion: MotionOptions = MotionOptions,  # type: ignore[assignment]
+) -> Answer:
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
     PLAN is a file, or the name of one that came with mbcacq; with --resume the plan of the run folder, if none is given.
@@ -86,14 +77,7 @@ def command(
         else:
             done = mbcacq.extend(extend, to_run, dry_run=motion.dry_run, live=live, seed=motion.seed, operator=operator)
     forget_failure()
-    if as_json:
-        echo(json.dumps(done.to_dict()))
-    else:
-        from mbcacq.cli.calibrate import print_result
-
-        print_result(done.to_dict())
-        say_next(*done.next_step)
-    done.refuse_beyond_limit()
+    return answer_of_run(done)
 
 
 def plan_of(resume: Path | None) -> Path | LoadedPlan:

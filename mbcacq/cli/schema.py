@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 
-import click
-
+from mbcacq.cli.declared import argument, subcommand
 from mbcacq.cli.terminal import echo
 
 
-@click.command("schema")
-@click.argument("kind", type=click.Choice(["plan", "robot", "artefact"]), default="plan")
-def command(kind: str) -> None:
+@subcommand("schema")
+def command(kind: str = argument(["plan", "robot", "artefact"], default="plan")) -> None:
     """Print the JSON Schema of a plan, a robot or an artefact file.
 
     In VS Code (YAML extension): write it to plan.schema.json and put

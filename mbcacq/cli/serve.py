@@ -6,15 +6,17 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.declared import argument, option, subcommand
 from mbcacq.cli.terminal import echo
 
 
-@click.command("serve")
-@click.argument("runs", type=click.Path(path_type=Path), default="runs")
-@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="Port of the page; 0 takes a free one.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Only this computer's own address is accepted.")
-@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser of this desktop.")
-def command(runs: Path, port: int, host: str, open_browser: bool) -> None:
+@subcommand("serve")
+def command(
+    runs: Path = argument(default="runs"),
+    port: int = option("Port of the page; 0 takes a free one.", click.IntRange(0, 65535), default=8765),
+    host: str = option("Only this computer's own address is accepted.", default="127.0.0.1"),
+    open_browser: bool = option("Open the page in the browser of this desktop.", None, "--open"),
+) -> None:
     """Show RUNS in a browser: verdicts, reports side by side, plans in 3D, fleets, and a run that goes on, with its stop.
 
     RUNS is a folder below which run folders and fleets lie [default: runs]. The page can be opened on this computer only. It starts

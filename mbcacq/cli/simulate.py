@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import click
-
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
 
 
-@click.command("simulate")
-@click.argument("plan", type=PlanPath())
-@click.option(
-    "--cell", "result", type=click.Path(path_type=Path), help="Calibrated cell: a result.json, or a run folder with one [default: nominal]."
-)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the observation set to write.")
-@click.option("--noise", is_flag=True, help="Add the scatter of scanner and joints; without it the set holds the model's exact prediction.")
-@click.option("--seed", default=0, show_default=True, help="Seed of that scatter.")
-@click.option("--force", is_flag=True, help="Replace an observation set that is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
-def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, force: bool, as_json: bool) -> None:
+@subcommand("simulate")
+def command(
+    plan: Path = argument(PlanPath()),
+    result: Path | None = option("Calibrated cell: a result.json, or a run folder with one [default: nominal].", None, "--cell"),
+    out: Path = option("Folder of the observation set to write.", required=True),
+    noise: bool = option("Add the scatter of scanner and joints; without it the set holds the model's exact prediction."),
+    seed: int = option("Seed of that scatter.", default=0),
+    force: bool = option("Replace an observation set that is there."),
+) -> Answer:
     """Write what PLAN would record by the calibrated model, as an observation set.
 
     PLAN may be a trajectory set: then what an ideal arm would have recorded along that motion is written.
@@ -48,20 +43,17 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
         with StepProgress() as steps:
             steps.begin("computing what would be recorded")
             samples = write_motion(plan, out)
-        written = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
-        echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
-        if not as_json:
-            say_next("compare the recording with it", command_line("diagnose", plan, "--simulation", out))
-        return
+        document = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
+        then = "compare the recording with it", command_line("diagnose", plan, "--simulation", out)
+        return Answer(document, [f"{samples} samples written to {out}"], then)
     with StepProgress() as steps:
         steps.begin("computing what would be recorded")
         observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
         write_observation_set(observations, out)
     poses, centres = observations.n_poses, observations.n_centres
-    written = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
-    echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")
-    if not as_json:
-        say_next("calibrate with it as with a recording", command_line("calibrate", out))
+    document = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
+    then = "calibrate with it as with a recording", command_line("calibrate", out)
+    return Answer(document, [f"{poses} poses, {centres} ball centres written to {out}"], then)
 
 
 def write_motion(trajectory: Path, out: Path) -> int:

@@ -378,3 +378,6 @@ def held_out(h: dict[str, Any]) -> str:
     largest = f"median {micrometres(h['median_mm'])}, largest {micrometres(h['max_mm'])}"
     rms = f"{micrometres(h['rms_mm'])} over {h['centres']} centres (3D rms){robust}{spread}, {largest}"
     return f"{what} ({h['fits']} fits, {h['poses']} poses): {rms}"
+
+
+SAID = (effects, fit, images, length_instrument, clock, scan_scale, stages, remarks, arm_improved)  # of every result, in this order

@@ -6,6 +6,7 @@ hide what follows.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
@@ -43,11 +44,9 @@ def printable(text: str) -> str:
     return _UNSAFE.sub(lambda found: ascii(found.group())[1:-1], text)
 
 
-def echo(
-    text: str = "", err: bool = False, nl: bool = True, label: tuple[str, str] | None = None, color: bool | None = None, whole: str = ""
-) -> None:
-    """Print a line of our own words and foreign data, on a terminal of any encoding. label: a word in front, and its colour; color: whether
-    colours are shown, by default on a terminal; whole: the end of the line, which is never broken, such as a command to be pasted."""
+def echo(text: str = "", err: bool = False, nl: bool = True, label: tuple[str, str] | None = None, whole: str = "") -> None:
+    """Print a line of our own words and foreign data, on a terminal of any encoding. label: a word in front, and its colour, which only a
+    terminal shows, and none where NO_COLOR is set; whole: the end of the line, which is never broken, such as a command to be pasted."""
     stream = sys.stderr if err else sys.stdout
     first = "" if label is None else click.style(printable(label[0]), fg=label[1])
     shown = _encodable(printable(text), stream)
@@ -58,7 +57,7 @@ def echo(
         if unbroken and len(shown) + 1 + len(unbroken) > columns:
             shown, unbroken = f"{shown}\n", f"  {unbroken}"
     shown += f" {unbroken}" if unbroken and not shown.endswith("\n") else unbroken
-    click.echo(first + shown, err=err, nl=nl, color=color)
+    click.echo(first + shown, err=err, nl=nl, color=False if os.environ.get("NO_COLOR") else None)
 
 
 def wrapped(text: str, columns: int, taken: int = 0) -> str:

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import click
-
-from mbcacq.cli.next_step import put_to_use, say_next
+from mbcacq.cli.declared import Answer, argument, option, subcommand
+from mbcacq.cli.next_step import put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
 
 
-@click.command("verify")
-@click.argument("result", type=RunPath())
-@click.argument("other", type=RunPath(), nargs=-1, required=True)
-@click.option(
-    "--place",
-    type=click.Choice(["fitted", "known"]),
-    default="fitted",
-    show_default=True,
-    help="fitted: base, tool and stations of OTHER are fitted to it; known: they stand where RESULT has them, nothing is fitted, and poses "
-    "at other stations are left out.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) -> None:
+@subcommand("verify")
+def command(
+    result: Path = argument(RunPath()),
+    other: tuple[Path, ...] = argument(RunPath(), required=True),
+    place: str = option(
+        "fitted: base, tool and stations of OTHER are fitted to it; known: they stand where RESULT has them, nothing is fitted, and "
+        "poses at other stations are left out.",
+        ["fitted", "known"],
+        default="fitted",
+    ),
+) -> Answer:
     """Try the arm of RESULT (a result.json, or a run folder that holds one), with its effects, on each recording OTHER.
 
     The arm and its effects stay as they were learnt. Prints the misfit there of geometry alone and with the effects (in mm, and as chi2 per
@@ -42,11 +37,6 @@ def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) ->
         for number, path in enumerate(other, 1):
             steps.begin(f"trying the arm on recording {number} of {len(other)}")
             found.append(mbcacq.verify_elsewhere(path, result, place=place))
-    if as_json:
-        echo(json.dumps({"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}))
-        return
-    for sentence in unsealed_note(result):
-        echo(f"*** {sentence} ***", err=True)
-    for one in found:
-        echo(one.text)
-    say_next(*put_to_use(result))
+    shown = (one.text for one in found)
+    document = {"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}
+    return Answer(document, shown, put_to_use(result), warnings=unsealed_note(result))

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
+from mbcacq.cli.declared import FOLDER, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
-@click.command("view")
-@click.argument("run", type=RunPath(every_kind=True))
-@click.option(
-    "--screenshot",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Write a picture of each tab (PNG) into this folder instead of opening a window.",
-)
-@click.option("--pose", type=int, help="With --screenshot: at the end of this pose [default: the last].")
-@click.option("--size", default="1600x1000", show_default=True, metavar="WxH", help="Size of the picture in points.")
-def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> None:
+@subcommand("view")
+def command(
+    run: Path = argument(RunPath(every_kind=True)),
+    screenshot: Path | None = option(
+        "Write a picture of each tab (PNG) into this folder instead of opening a window.", FOLDER, metavar="DIR"
+    ),
+    pose: int | None = option("With --screenshot: at the end of this pose [default: the last]."),
+    size: str = option("Size of the picture in points.", default="1600x1000", metavar="WxH"),
+) -> None:
     """Open RUN in the rerun viewer: the cell, its motion, the spheres, calibration and diagnosis as tabs.
 
     RUN is a run folder ('latest': the newest in runs) or a .rrd file.

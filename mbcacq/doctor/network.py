@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import ipaddress
 import socket
+import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -74,7 +75,6 @@ def addresses() -> dict[str, str]:
     if sys.platform != "linux":
         return {}
     import fcntl
-    import struct
 
     found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

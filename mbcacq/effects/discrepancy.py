@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,8 @@ class DiscrepancyOptions:
     orders: int = 4  # periods a turn of a joint's own error: eccentric wheels, bent shafts
     fastest: int = 32  # of its gears' stages, which are tried where these do not do: faster meshes are for names, not for smooth functions
     start_rad: float = 1e-3  # five times a bad gear's error, ten times the wind-up of an elastic joint at its largest torque
+    mesh_rad: float = 1e-4  # of the teeth of a wheel
+    order_sigma: float = 0.1  # of the order of a mesh that the largest share of a joint's errors follows
     start_mm: float = 0.3  # the play of a mount that was not tightened
     least_moment: float = 0.5  # N m, below which nothing gives way
     direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
@@ -41,7 +44,7 @@ class DiscrepancyOptions:
 
 
 OPTIONS = DiscrepancyOptions()
-WANDER = "wander"
+WANDER, ORDER = "wander", "order"
 
 
 def own_errors(here: Covariates) -> list[EffectTerm]:
@@ -73,6 +76,16 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
 def gear_stages(here: Covariates) -> list[EffectTerm]:
     """Groups of each joint by its own angle, of more periods a turn: the wheels of its gear."""
     return [t for j in _moving(here) for t in _by_own_angle(here, j, range(OPTIONS.orders + 1, OPTIONS.fastest + 1))]
+
+
+def mesh(here: Covariates, j: int, order: float) -> EffectTerm:
+    """The group of joint j by one order of its own angle, and by the derivative of that by the order, which is not exactly known. It has
+    many periods in the visited angles, and goes on beyond them."""
+    name = f"q{j + 1}"
+    once = sine(name, order), cosine(name, order)
+    columns = (*once, *(times(_centred(here, name), column) for column in once))
+    sigma = OPTIONS.mesh_rad * np.repeat([1.0, OPTIONS.order_sigma], 2)
+    return _term(here, j, name, columns, sigma, hyper={ORDER: order})
 
 
 def couplings(here: Covariates) -> list[EffectTerm]:
@@ -199,13 +212,7 @@ def _frame(here: Covariates, location: str, frame: int, depends_on: str, moved: 
 
 
 def _term(
-    here: Covariates,
-    j: int,
-    depends_on: str,
-    columns: Sequence[Column],
-    sigma: np.ndarray,
-    variant: str = SMOOTH,
-    clamped: tuple[str, ...] = (),
+    here: Covariates, j: int, depends_on: str, columns: Sequence[Column], sigma: np.ndarray, variant: str = SMOOTH, **fields: Any
 ) -> EffectTerm:
     parts = (DescribedPart("joint", j, 0, tuple(columns)),)
-    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, ("rad",) * len(columns), variant=variant, clamped=clamped)
+    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, ("rad",) * len(columns), variant=variant, **fields)

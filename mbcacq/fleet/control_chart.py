@@ -18,6 +18,7 @@ from scipy.special import stdtrit
 
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.row import EVALUATED, FleetRow, estimates_of
+from mbcacq.report.several import ControlChart
 
 FALSE_ALARMS = 0.0027  # of a recording, and of an arm among the others: three standard deviations of a single figure
 MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
@@ -25,52 +26,6 @@ EFFICIENCY = 0.37  # of a variance estimated by a median of absolute deviations,
 OF_MEDIAN = float(np.pi / 2)  # variance of a median over that of a mean
 FEWEST = 4  # fewer moving ranges, or arms, say nothing about their variance
 FURTHER = ("rms_mm", "spacing_max_mm")  # figures that are charted besides the parameters
-
-
-@dataclass(frozen=True, kw_only=True)
-class ControlChart:
-    """One figure of the N recordings of one type of arm.
-
-    Attributes
-    ----------
-    value, std : ndarray
-        (N,) as calibrated, NaN where it was not.
-    centre : ndarray
-        (N,) centre line of the arm of each.
-    limit : ndarray
-        (N,) half width about it, NaN where an arm has one recording.
-    arms : tuple[str, ...]
-        Names (A,).
-    arm : ndarray
-        (N,) index into them.
-    arm_value, arm_limit : ndarray
-        (A,) each arm's centre and its permitted distance from ``usual``, the median of the arms (NaN: too few).
-    """
-
-    name: str
-    value: np.ndarray
-    std: np.ndarray
-    arm: np.ndarray
-    arms: tuple[str, ...]
-    centre: np.ndarray
-    limit: np.ndarray
-    arm_value: np.ndarray
-    arm_limit: np.ndarray
-    usual: float
-
-    @property
-    def deviation(self) -> np.ndarray:
-        return self.value - self.centre
-
-    @property
-    def outside(self) -> np.ndarray:
-        """(N,) bool of the recordings outside the limits of their arm."""
-        return np.abs(self.deviation) > self.limit
-
-    @property
-    def unusual(self) -> np.ndarray:
-        """(A,) bool of the arms outside of what is usual among them."""
-        return np.abs(self.arm_value - self.usual) > self.arm_limit
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
+from mbcacq.fleet.control_chart import ArmType, Outlier
 from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.model.cell import SIMULATED
-from mbcacq.quantities import capitalised, fixed, in_degrees, micrometres, with_unit
-from mbcacq.report.several import ArmTypeContent, FleetChart, FleetContent
+from mbcacq.quantities import capitalised, fixed, micrometres, with_unit
+from mbcacq.report.several import TITLES, ArmTypeContent, FleetContent, scale_and_unit
 
-TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
 MOST_LISTED = 200  # outliers and broken recordings on the page; the table has all
 
 
@@ -65,12 +62,6 @@ def _recording(row: FleetRow) -> tuple[str, ...]:
     )
 
 
-def scale_and_unit(name: str) -> tuple[float, str]:
-    """Factor and unit in which a figure is shown."""
-    angle = name.startswith(("theta", "alpha", "beta")) or name.rpartition(".")[2] in ("rx", "ry", "rz")
-    return (in_degrees(1.0), "°") if angle else (1.0, "mm")
-
-
 def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
     """Arm, recording, figure, its difference from the centre line, the limit, and the two over each other."""
     scale, unit = scale_and_unit(outlier.name)
@@ -84,31 +75,6 @@ def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
 
 def _type(kind: ArmType) -> ArmTypeContent:
     """Charts of a type, the one with the farthest outlier first."""
-    charts = sorted(kind.charts, key=lambda chart: -_farthest(chart))
-    names = [Path(row.recording).name for row in kind.rows]
-    return ArmTypeContent(
-        kind.robot, list(charts[0].arms) if charts else [], names, [row.time or "" for row in kind.rows], list(map(_chart, charts))
-    )
-
-
-def _farthest(chart: ControlChart) -> float:
-    """Largest distance from a centre line, in limits."""
-    ratio = np.abs(chart.deviation) / chart.limit
-    return float(np.nanmax(ratio)) if np.isfinite(ratio).any() else 0.0
-
-
-def _chart(chart: ControlChart) -> FleetChart:
-    scale, unit = scale_and_unit(chart.name)
-    return FleetChart(
-        title=TITLES.get(chart.name, chart.name),
-        unit=unit,
-        arm=chart.arm,
-        value=scale * chart.value,
-        std=scale * chart.std,
-        deviation=scale * chart.deviation,
-        limit=scale * chart.limit,
-        outside=chart.outside,
-        usual=scale * chart.usual,
-        permitted=float(scale * np.nanmedian(chart.arm_limit)) if np.isfinite(chart.arm_limit).any() else np.nan,
-        unusual=chart.unusual,
-    )
+    charts = sorted((chart.as_read() for chart in kind.charts), key=lambda chart: -chart.farthest)
+    names, times = zip(*((Path(row.recording).name, row.time or "") for row in kind.rows), strict=True)
+    return ArmTypeContent(kind.robot, list(charts[0].arms) if charts else [], list(names), list(times), charts)

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file, write_files
 from mbcacq.fleet.evaluation import FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
 from mbcacq.fleet.row import FAILED, FleetRow, arrow_schema
 from mbcacq.model.json_text import damage, sealed_text, unsealed
+from mbcacq.version import __version__
 
 TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
 
@@ -38,7 +40,6 @@ class FleetStore:
     """
 
     def __init__(self, folder: Path, task: FleetTask):
-        from mbcacq.version import __version__
 
         tried = Path(task.verify).read_bytes() if task.verify and Path(task.verify).is_file() else b""
         self.damaged: list[Path] = []
@@ -73,14 +74,12 @@ class FleetStore:
 
     def keep(self, recording: FleetRecording, outcome: StoredResult) -> FleetRow:
         """Write a result, in one step; its row. Raises RecordingError."""
-        from mbcacq.files.atomic_write import write_file
 
         write_file(self.path(recording), outcome.text, folder=self.folder)
         return outcome.row
 
     def write(self, rows: Sequence[FleetRow], page: str) -> tuple[Path, Path]:
         """All rows as one Parquet table, in the order given, and the page about them (HTML), as a set. Raises RecordingError."""
-        from mbcacq.files.atomic_write import write_files
 
         def table(partial: Path) -> None:
             from pyarrow import Table, parquet

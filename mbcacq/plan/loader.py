@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.files.atomic_write import finish_set
+from mbcacq.files.mesh_file import read_mesh
 from mbcacq.model import cell, shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.model.formats import newer_format
@@ -132,7 +133,6 @@ def _with_surface(source: YamlFile, spec: ArtefactSpec) -> cell.Artefact:
     model = spec.model()
     if spec.mesh is None:
         return model
-    from mbcacq.files.mesh_file import read_mesh
 
     mesh = read_mesh(source.path.parent / spec.mesh)
     box = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from mbcacq.figure import Figure, drawing_library
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
 from mbcacq.report.content import Content, DiagnosisContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
-from mbcacq.report.several import ChangesContent, FleetContent
+from mbcacq.report.several import FleetContent, RunComparison
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
 
@@ -104,16 +105,16 @@ def render_fleet(fleet: FleetContent, title: str = "Fleet") -> str:
     return _template("fleet_page.html.j2", f=fleet, title=title, figures=_embedded(fleet_figures(fleet)))
 
 
-def render_changes(changes: ChangesContent) -> str:
-    """HTML of two recordings compared."""
+def render_changes(changes: RunComparison, spacings: Sequence[tuple[str, Spacing]], *, simulated: bool) -> str:
+    """HTML of two recordings compared. spacings: the verification of each that has one, by its name."""
     from markupsafe import Markup
 
     from mbcacq.report.charts import change_charts
     from mbcacq.report.charts.spacing_svg import spacing_picture
 
-    figures = {name: change_charts.changes(rows) for name, rows in changes.rows.items()}
-    pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in changes.spacings]
-    return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures)
+    figures = {name: change_charts.changes(rows) for _, name, rows in changes.charts}
+    pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in spacings]
+    return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures, simulated=simulated)
 
 
 def render_check(kept: Mapping[str, Any], *, paper: bool = False) -> str:
@@ -140,6 +141,7 @@ def _environment() -> Environment:
         "uncertainty": uncertainty,
         "curve_title": curve_title,
         "quantity": quantity,
+        "capitalised": capitalised,
     }
     return environment
 
@@ -158,7 +160,6 @@ def curve_title(effect: str, location: str) -> str:
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:
     """Each figure as a picture of the width that it has on paper."""
-    import base64
 
     from markupsafe import Markup
 

@@ -6,18 +6,16 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.result_json import load_result
 from mbcacq.recording.run_folder.register import CHECK_RESULT, RunKind, kind_of
 from mbcacq.recording.run_folder.run_plan import FILES as PLAN_FILES
+from mbcacq.report.content import Content
 from mbcacq.report.sources.check_result import read_check_result
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity
-
-if TYPE_CHECKING:
-    from mbcacq.report.content import Content
 
 FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl", CHECK_RESULT, PLAN_FILES)
 MOST_KEPT = 300

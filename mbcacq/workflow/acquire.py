@@ -18,19 +18,21 @@ import numpy as np
 
 from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.acquisition.event_bus import EventBus, Subscriber
-from mbcacq.acquisition.runner import Runner
+from mbcacq.acquisition.runner import Pause, Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import fields_as_json
-from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan import LoadedPlan, PlannedPose, Transit, path
+from mbcacq.plan.routing import check_start, path_home
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
+from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
 if TYPE_CHECKING:
-    from mbcacq.acquisition.runner import Pause
     from mbcacq.plan.motion_preview import Swept
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
     from mbcacq.workflow.corrected_targets import CorrectedTargets
@@ -66,9 +68,7 @@ def plan_acquisition(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: fro
 
     Raises ConfigError or SafetyStop where a limit, the workspace or a clearance would be broken anywhere on it.
     """
-    from mbcacq.plan import path
     from mbcacq.plan.motion_preview import refuse_unsafe, segments
-    from mbcacq.plan.routing import path_home
 
     last = next(p for p in reversed(poses) if p.number not in done)
     acquisition = Acquisition(
@@ -110,7 +110,6 @@ def recorded(
     from mbcacq.recording.rrd.writer import Recorder
     from mbcacq.recording.run_folder.journal import Journal
     from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.recording.run_folder.run_plan import keep_plan
 
     (folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
     keep_plan(folder, loaded.text, plan_files)
@@ -178,11 +177,8 @@ class Acquisition:
         live: serve the recording on 127.0.0.1 while it grows. message: gets sentences for people, such as the address for the viewer.
         pause: asked before each pose.
         """
-        from mbcacq.plan.routing import check_start
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.run_folder.journal import recorded_facts
-        from mbcacq.recording.run_folder.run_plan import plan_files_text
-        from mbcacq.spheres import SphereOptions, find_spheres
         from mbcacq.workflow.change_watch import ChangeWatch
 
         def gate(q: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from mbcacq.calibration.result_io import joint_content as content_of_all
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.verification import Verification
+from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
@@ -285,7 +286,6 @@ def calibration_content(
     Raises CalibrationError, ConfigError.
     """
     from mbcacq.calibration.cross_validation import held_out as cross_validate
-    from mbcacq.calibration.workspace_accuracy import accuracy_map
     from mbcacq.recording.run_folder.gaps import find_gaps
 
     if effects is not None and held_out is not None:

@@ -9,7 +9,9 @@ from pathlib import Path
 from mbcacq.acquisition.collected.collected_run import CollectedPose, CollectedRun
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, expand
+from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.run_plan import plan_files_text
 from mbcacq.spheres.cloud_files import says_simulated
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, recorded, solver_cell, versions
@@ -113,8 +115,6 @@ def collect(
 
 def _record(found: PairedClouds, folder: Path, part: int, done: frozenset[int], operator: Operator) -> None:
     from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
-    from mbcacq.recording.run_folder.latest import mark_latest
-    from mbcacq.recording.run_folder.run_plan import plan_files_text
 
     session, collected = found.session, found.poses
     loaded = session.loaded

@@ -5,144 +5,27 @@ Compared is what each recording alone says, without the prior of the links, whic
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_file import result_of
 from mbcacq.calibration.result_io import effects_of, without_prior
 from mbcacq.calibration.sufficiency import refuse_other_arm
-from mbcacq.errors import ConfigError, command_line
+from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
-from mbcacq.model.json_text import AsJson, damage, keyed
-from mbcacq.quantities import K, fixed, in_degrees, measured, p_value, significant, symbol
+from mbcacq.model.json_text import damage
+from mbcacq.quantities import K, in_degrees
+from mbcacq.report.several import FALSE_ALARMS, Change, RunComparison, Together
 from mbcacq.report.sources.coefficients import names_in_words
 
-FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": in_degrees(1.0)}  # angles are shown in degrees
 DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
-
-
-WithU = Annotated[tuple[float, float | None], keyed("value", "U")]
-
-
-@dataclass(frozen=True)
-class Change(AsJson):
-    """One quantity in both recordings, with expanded uncertainties (k = 2); None where a recording does not determine it.
-
-    what: 'parameter', 'hand-eye', 'effect' or 'figure'. significant: the change is beyond what chance makes of that many rows.
-    """
-
-    what: str
-    name: str
-    unit: str
-    before: WithU | None
-    after: WithU | None
-    change: WithU | None
-    significant: bool = False
-    why_not: str = ""
-
-    @property
-    def title(self) -> str:
-        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x', 'unmodelled A1 q1 order 2 [0]' of 'unknown:A1:q1:order 2[0]'."""
-        if self.name.startswith("unknown:"):
-            return self.name.replace("unknown:", "unmodelled ").replace(":", " ").replace("_", " ").replace("[", " [")
-        return self.name.replace("hand_eye.", "hand-eye ")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Together:
-    """Test of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a
-    larger chi2 where nothing changed.
-    """
-
-    chi2: float
-    dof: int
-    p_value: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunComparison(AsJson):
-    """What changed between two recordings of one arm.
-
-    Attributes
-    ----------
-    names
-        How the recordings are called, the earlier first.
-    robot
-        Name of the arm.
-    rows
-        A row a quantity.
-    together
-        Test of all changes of arm and hand-eye.
-    leaning
-        An older result does not say which prior of the links it used: the changes of the arm lean towards zero, and may be understated.
-    """
-
-    format: Literal["mbcacq-run-comparison/1"] = "mbcacq-run-comparison/1"
-    names: Annotated[tuple[str, str], Field(alias="recordings")]
-    robot: str
-    together: Together
-    leaning: bool = False
-    rows: tuple[Change, ...]
-
-    @property
-    def changed(self) -> list[Change]:
-        """The rows whose change is significant."""
-        return [row for row in self.rows if row.significant]
-
-    @property
-    def sentences(self) -> list[str]:
-        """What changed, and the test of everything together."""
-        names = ", ".join(row.title for row in self.changed)
-        out = [f"Changed beyond chance: {names}" if names else "No single quantity changed beyond chance"]
-        all_of_it = self.together
-        said = f"χ² {significant(all_of_it.chi2)} of {all_of_it.dof} degrees of freedom, {p_value(all_of_it.p_value)}"
-        return [*out, f"Arm and hand-eye together: {said}"]
-
-    @property
-    def next_step(self) -> tuple[str, str]:
-        """What to do next, and the command for it."""
-        if self.changed or self.together.p_value < FALSE_ALARMS:
-            return "ask what the later recording says of the cause", command_line("diagnose", self.names[1])
-        return "calibrate both together, as of one arm", command_line("calibrate", *self.names)
-
-    @property
-    def how(self) -> str:
-        """A sentence on what the changes of the arm rest on."""
-        if self.leaning:
-            return (
-                "An older mbcacq wrote one of the results, which does not say which prior of the links it used: the changes of the arm "
-                "lean towards zero, and may be understated; calibrate both recordings anew."
-            )
-        return "Values and changes of the arm are what each recording alone says, without the prior that a calibration has of its links."
-
-    @property
-    def table(self) -> list[tuple[bool, str, str, str, str, str]]:
-        """(beyond chance, quantity, before, after, change, unit) of every row, in words and figures."""
-
-        def text(row: Change, pair: tuple[float, float | None] | None) -> str:
-            if pair is None:
-                return "–"
-            return fixed(1e3 * pair[0], 1) if row.what == "figure" else measured(*pair)
-
-        return [
-            (
-                row.significant,
-                row.title,
-                text(row, row.before),
-                text(row, row.after),
-                text(row, row.change) if row.change is not None else row.why_not or "–",
-                "µm" if row.what == "figure" else symbol(row.unit),
-            )
-            for row in self.rows
-        ]
 
 
 def compare_runs(first: Path | str, second: Path | str) -> RunComparison:

@@ -20,7 +20,8 @@ def make(loaded: LoadedPlan) -> dict[str, str]:
     maker = getattr(load_driver("robots", use.driver), "controller_files", None)
     if maker is None:
         raise ConfigError(f"driver '{use.driver}' needs no files on the controller, or brings none along; see its own documentation")
-    return maker(use.driver, loaded.cell.robot.name, robot_options(loaded), facts(loaded))
+    made = maker(use.driver, loaded.cell.robot.name, robot_options(loaded), facts(loaded))
+    return {name: text.replace("\r\n", "\n").replace("\n", "\r\n") for name, text in made.items()}  # a controller's line ends
 
 
 def facts(loaded: LoadedPlan) -> dict[str, Any]:
@@ -40,7 +41,8 @@ def facts(loaded: LoadedPlan) -> dict[str, Any]:
 
 
 def write(files: dict[str, str], out: Path, replace: bool = False) -> list[Path]:
-    """Write them below ``out``, with the controller's line ends. Raises ConfigError where one exists already, RecordingError."""
+    """Write text files for a controller below ``out``, in ASCII with their line ends. Raises ConfigError where one exists already,
+    RecordingError."""
     if not replace and (there := [out / name for name in files if (out / name).exists()]):
         raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
-    return write_files(out, {name: text.replace("\r\n", "\n").replace("\n", "\r\n").encode("ascii") for name, text in files.items()})
+    return write_files(out, {name: text.encode("ascii", "replace") for name, text in files.items()})

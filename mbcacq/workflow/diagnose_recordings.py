@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy
+
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects, effects_fitted_with_the_cell
 from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.diagnosis.given_effects import PosesGiven
+from mbcacq.diagnosis.executor import cores
+from mbcacq.diagnosis.given_effects import PosesGiven, evidence_given
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
@@ -20,6 +27,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import FileRead, Provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
@@ -42,7 +50,6 @@ class Question:
 def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.executor import cores
 
     motions = as_trajectories([one for one in data if is_trajectory(one) and not isinstance(one, Observations)])
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
@@ -64,8 +71,6 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
     """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of; what both decide is
     what is kept.
     """
-    from mbcacq.diagnosis.given_effects import evidence_given
-    from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
     if found.poses is None or found.observations is None or motion is None:
         return replace(found, motion=motion)
@@ -124,8 +129,6 @@ def checked(
 
     others: with their names.
     """
-    from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
-    from mbcacq.estimation.options import CalibrationOptions
 
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
@@ -158,11 +161,6 @@ def said(error: Exception) -> str:
 
 def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Provenance:
     """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
-    import platform
-
-    import numpy
-
-    from mbcacq.version import __version__
 
     return Provenance(
         recording=str(data) if isinstance(data, Path | str) else "",
@@ -174,7 +172,6 @@ def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Pr
 
 def _hashed(source: Path) -> list[FileRead]:
     """Name, size and SHA-256 of a recording: of the files of an observation set or the parts of a run, not of its clouds."""
-    import hashlib
 
     wanted = {".csv", ".yaml", ".rrd"}
     paths = [source] if source.is_file() else sorted(p for p in source.glob("*") if p.is_file() and p.suffix in wanted)
@@ -209,7 +206,6 @@ def diagnose_motion(
 def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
     from mbcacq.diagnosis.diagnose import diagnose
-    from mbcacq.diagnosis.executor import cores
 
     refit = partial(fitted_model, observations) if fitted else None
     with likely_cause_named(observations):
@@ -229,9 +225,6 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
     """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. They stay as the diagnosis had them if the
     recording does not determine the cell with them; a sentence says why.
     """
-    from mbcacq.calibration.calibrate import effects_fitted_with_the_cell
-    from mbcacq.errors import CalibrationError
-    from mbcacq.estimation.options import CalibrationOptions
 
     try:
         return effects_fitted_with_the_cell(observations, CalibrationOptions(refuse=False), model), ()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -79,7 +80,6 @@ def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], ho
 
 
 def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -> DiagnosisResult:
-    from mbcacq.calibration.calibrate import calibrate_with_effects
     from mbcacq.simulation.mujoco_arm import load_arm, remarks_on_masses
     from mbcacq.simulation.poses import is_written, observations_of_model, write_into_model
 
@@ -96,8 +96,6 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     if written:
         cell = calibrate_with_effects(observations, options, written)
     else:
-        from mbcacq.calibration.calibrate import calibrate
-
         cell = calibrate(observations, options)
     effects = () if found.poses is None else found.poses.effects
     return replace(found, simulation=write_into_model(arm, cell, effects))

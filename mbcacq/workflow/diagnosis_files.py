@@ -8,6 +8,7 @@ from typing import Any
 
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects.in_words import CHANNELS
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import capitalised
@@ -31,7 +32,6 @@ def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
 
 
 def _drawn(found: MotionDiagnosis) -> MotionDrawn:
-    from mbcacq.effects.in_words import CHANNELS
     from mbcacq.report.cards import diagnosis_cards
     from mbcacq.report.sources.from_motion import motion_content
 

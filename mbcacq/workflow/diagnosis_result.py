@@ -5,25 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, GivenEvidence
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
 from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
+from mbcacq.figure import Figure
 from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
-
-if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.combine import PosesAndMotion
-    from mbcacq.figure import Figure
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -32,11 +32,20 @@ HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these 
 class DiagnosisResult:
     """What a diagnosis found. It pickles, with its pictures.
 
-    Attributes ---------- poses, motion The diagnosis of the poses at standstill, and that of the motion; at least one of them is there.
-    observations The diagnosed observations; None if the diagnosis was read from JSON. given_motion The evidence of the poses, with the
-    motion's certain effects as their prior. checks What was learnt, tried on other recordings. provenance The files (name, bytes, SHA-256),
-    the versions of the programs, the options. simulation The MuJoCo model with which the recording was compared, and what was found written
-    into it.
+    Attributes
+    ----------
+    poses, motion
+        The diagnosis of the poses at standstill, and that of the motion; at least one of them is there.
+    observations
+        The diagnosed observations; None if the diagnosis was read from JSON.
+    given_motion
+        The evidence of the poses, with the motion's certain effects as their prior.
+    checks
+        What was learnt, tried on other recordings.
+    provenance
+        The files (name, bytes, SHA-256), the versions of the programs, the options.
+    simulation
+        The MuJoCo model with which the recording was compared, and what was found written into it.
     """
 
     poses: Diagnosis | None = None
@@ -68,7 +77,6 @@ class DiagnosisResult:
     @cached_property
     def both(self) -> PosesAndMotion | None:
         """Poses and motion as one problem, if there are both."""
-        from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
         return None if self.poses is None or self.motion is None else PosesAndMotion(self.poses, self.motion, self.given_motion)
 
@@ -216,9 +224,6 @@ class DiagnosisResult:
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
-        from datetime import datetime
-
-        from mbcacq.version import __version__
 
         data = (self.provenance.recording if self.provenance else None) or ""
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]

@@ -14,6 +14,7 @@ from mbcacq.calibration.verification import Verification
 from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
@@ -100,7 +101,6 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
-    from mbcacq.files.atomic_write import write_file
     from mbcacq.recording.run_folder.gaps import find_gaps
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.report import write_report_page

@@ -15,6 +15,7 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.plan.growth import grown
+from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.dry_run import name_of
 from mbcacq.workflow.evaluate import RunResult
 from mbcacq.workflow.load import as_plan, load_observations
@@ -73,7 +74,6 @@ def extended_plan(folder: Path, further: LoadedPlan, cell: str) -> LoadedPlan:
 
     Raises ConfigError where the run is not whole, or is of another cell.
     """
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
     kept, before = read_kept_plan(folder), plan_of_recording(folder)
     refuse_change(folder, kept, before.text, before.files, cell)

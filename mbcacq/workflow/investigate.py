@@ -23,6 +23,7 @@ from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
+from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.workflow import resume as resuming
@@ -124,7 +125,6 @@ class CellInvestigation:
         operator, cell = self.operator, name_of(self.dry_run, self.seed)
         poses = expand(grown)
         refuse_errors(grown, poses)
-        from mbcacq.recording.rrd import layout
 
         fresh = not layout.parts(self.folder)
         before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)

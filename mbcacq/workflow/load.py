@@ -12,7 +12,7 @@ from mbcacq.calibration.result_io import read_result, split_number
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
-from mbcacq.model.trajectory import Trajectory
+from mbcacq.model.trajectory import Trajectory, moves
 from mbcacq.recording import load_observations
 
 if TYPE_CHECKING:
@@ -77,7 +77,6 @@ def recorded_moves(recording: Path) -> list[Trajectory]:
 
     Raises ConfigError where there is no recording of controller cycles.
     """
-    from mbcacq.model.trajectory import moves
     from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
     trajectory = trajectory_of_run(recording)

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.observations import Observations
@@ -20,6 +21,7 @@ from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
+from mbcacq.recording import load_observations
 from mbcacq.workflow.load import as_cell
 from mbcacq.workflow.part_scenes import scans_at, thinned_scans
 
@@ -56,7 +58,6 @@ class MergedPart:
 
     def write(self, stem: Path) -> list[Path]:
         """Write STEM.json, all figures, and STEM.rrd, all of it for the viewer. Raises RecordingError."""
-        from mbcacq.files.atomic_write import write_file
         from mbcacq.recording.rrd.part_recording import PartDrawn, write_part
 
         pairs, cad = self.agreement.pairs, self.deviations
@@ -110,7 +111,6 @@ def merge_scans(
     ConfigError
         The recording holds no part, its scans do not overlap, or the result is of another arm.
     """
-    from mbcacq.recording import load_observations
 
     o = PartOptions()
     source, out = Path(source), Path(out)
@@ -152,7 +152,6 @@ def _planned_place(source: Path, station: str) -> np.ndarray:
     """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
     from mbcacq.model import yaml12
     from mbcacq.plan.schema import StationPlace
-    from mbcacq.recording import load_observations
 
     text = source / "plan.yaml"
     if text.is_file():

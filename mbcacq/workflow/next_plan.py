@@ -15,7 +15,7 @@ from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan, load
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_plan
 
@@ -161,7 +161,6 @@ def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
 
 def plan_of_recording(folder: Path) -> LoadedPlan:
     """The plan that a run folder was recorded with, as it is kept there. Raises ConfigError where there is none."""
-    from mbcacq.plan import load
     from mbcacq.recording.run_folder.run_plan import read_kept_plan
 
     if not folder.is_dir():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbcacq.errors import RecordingError
+from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.workflow.load import load_observations
 
@@ -70,7 +71,6 @@ def without_partial_stations(poses: Sequence[PlannedPose], before: Progress) -> 
 def measured_balls(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> dict[str, dict[int, np.ndarray]]:
     """Where the balls stood at the poses that count as done: station -> ball id -> (3,) mm, mean over its poses, base frame of the nominal
     arm."""
-    from mbcacq.geometry import se3
 
     obs = load_observations(folder)
     T = obs.cell.robot.chain.flange(obs.q) @ loaded.cell.T_flange_scanner

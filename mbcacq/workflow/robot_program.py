@@ -6,7 +6,6 @@ import hashlib
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
-from mbcacq.files import atomic_write
 from mbcacq.plan import LoadedPlan, expand, refuse_errors
 from mbcacq.plan.programs import Trigger, motion_program, written
 from mbcacq.workflow.acquire import plan_acquisition
@@ -49,10 +48,3 @@ def robot_program(
     checked = plan_acquisition(loaded, poses, done, 0, "")
     program = motion_program(loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), name=name, trigger=trigger, done=done)
     return written(loaded, program, dialect)
-
-
-def write_files(files: dict[str, str], out: Path, replace: bool) -> list[Path]:
-    """Write them into a folder. Raises ConfigError where one exists already (and not ``replace``), RecordingError."""
-    if not replace and (there := [out / name for name in files if (out / name).exists()]):
-        raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
-    return atomic_write.write_files(out, {name: text.encode("ascii", "replace") for name, text in files.items()})

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
 from mbcacq.acquisition.event_bus import Subscriber
+from mbcacq.acquisition.runner import Pause
 from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
@@ -26,7 +27,6 @@ from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan, load_observations
 
 if TYPE_CHECKING:
-    from mbcacq.acquisition.runner import Pause
     from mbcacq.plan.motion_preview import Swept
 
 

@@ -17,7 +17,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, path, refuse_errors
 from mbcacq.workflow.load import as_plan, as_result
 
 
@@ -64,7 +64,6 @@ def simulate_poses(
     estimate it from. Raises ConfigError where result and plan do not match.
     """
     from mbcacq.design.simulated_observations import planned_observations
-    from mbcacq.plan import path
     from mbcacq.plan.summary import summary
     from mbcacq.workflow.acquire import solver_cell
 

@@ -16,8 +16,9 @@ from mbcacq.files.table import read_table
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE, Artefact, Cell, Station
 from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets.cell_yaml import robot_of
 from mbcacq.recording.datasets.length_table import read_lengths
-from mbcacq.recording.datasets.loose_table import TableOptions, robot_of
+from mbcacq.recording.datasets.loose_table import TableOptions
 
 ARM = "kr10_r1100_2"
 ENDS = np.array([[900.0, 300, 100], [-300, 800, 50]])

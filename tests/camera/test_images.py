@@ -20,9 +20,8 @@ from mbcacq.camera.intrinsics import Intrinsics, read_intrinsics
 from mbcacq.cli.app import app
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.geometry import se3
-from mbcacq.recording.datasets.hand_eye_sets import table_of
 from mbcacq.recording.datasets.image_set import read_images
-from mbcacq.recording.datasets.loose_table import TableOptions
+from mbcacq.recording.datasets.loose_table import TableOptions, table_of
 
 ALONE = mbcacq.CalibrationOptions(kinematics=False)
 COLMAP = f"1 OPENCV 640 480 {K[0, 0]} {K[1, 1]} {K[0, 2] + 0.5} {K[1, 2] + 0.5} {' '.join(map(str, DISTORTION[:4]))}\n"

@@ -15,7 +15,8 @@ from mbcacq.model import shipped
 from mbcacq.plan import expand, load
 from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq.spheres import read_cloud
-from mbcacq.workflow.robot_program import robot_program, write_files
+from mbcacq.workflow.controller_files import write as write_files
+from mbcacq.workflow.robot_program import robot_program
 
 
 def content() -> dict:

@@ -20,7 +20,7 @@ from mbcacq.geometry.flange_poses import flange_coordinates
 from mbcacq.model.cell import Artefact, Cell, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import uncertainty
-from mbcacq.recording.datasets.loose_table import robot_of
+from mbcacq.recording.datasets.cell_yaml import robot_of
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])

@@ -9,7 +9,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.bag import axes_among
-from mbcacq.recording.datasets.loose_table import robot_of
+from mbcacq.recording.datasets.cell_yaml import robot_of
 
 PLUGINS = pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP], ids=["sqlite", "mcap"])
 CELL = """format: mbcacq-observation-set/1

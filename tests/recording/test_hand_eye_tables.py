@@ -13,8 +13,9 @@ import mbcacq
 from mbcacq.cli.data import command
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import orientations, se3
+from mbcacq.recording.datasets.cell_yaml import robot_of
 from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
-from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table, robot_of
+from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
 
 X = se3.transform(Rotation.from_euler("ZYX", [-90, 2, 178], degrees=True).as_matrix(), np.array([40.0, -20, 110]))
 Z = se3.transform(Rotation.from_euler("ZYX", [20, 5, 3], degrees=True).as_matrix(), np.array([700.0, 50, 20]))

@@ -10,7 +10,7 @@ from mbcacq.cli.data import command
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import in_seconds
 from mbcacq.geometry import se3
-from mbcacq.recording.datasets.loose_table import robot_of
+from mbcacq.recording.datasets.cell_yaml import robot_of
 from mbcacq.recording.datasets.merge import clock_delay, even_times, merge_logs
 
 POSES = 14

@@ -120,11 +120,12 @@ def test_the_list_of_drivers_fits_eighty_columns():
 
 def test_the_table_of_challenges_fits_eighty_columns(monkeypatch, capsys):
     from mbcacq.challenge.table import COLUMNS
-    from mbcacq.cli.challenge import print_table
+    from mbcacq.cli.challenge import table_of
+    from mbcacq.cli.declared import Answer
 
     monkeypatch.setenv("COLUMNS", "80")
     row = dict.fromkeys(COLUMNS, 1.0) | {"kind": "gear_transmission_error, joint_compliance", "challenges": 1000, "that count": 1000}
-    print_table([row])
+    Answer({}, [table_of([row])]).say(as_json=False)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
     assert "transmission" in " ".join(lines)

@@ -8,7 +8,7 @@ import pytest
 
 from mbcacq.acquisition import events
 from mbcacq.cli import step_progress
-from mbcacq.cli.plan import _print_poses
+from mbcacq.cli.plan import _poses
 from mbcacq.cli.progress import RunProgress
 from mbcacq.cli.step_progress import StepProgress
 
@@ -50,7 +50,6 @@ def test_the_poses_of_a_plan_fit_eighty_columns(axes, capsys):
         "q_deg": [-174.03] * axes,
         "waypoints": 2,
     }
-    _print_poses({"poses": [pose, pose | {"step": "bar"}]})
-    lines = capsys.readouterr().out.splitlines()
+    lines = list(_poses({"poses": [pose, pose | {"step": "bar"}]}))
     assert max(map(len, lines)) <= 80
     assert [line for line in lines if line.endswith(":")] == ["orientations:", "bar:"]

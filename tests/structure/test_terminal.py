@@ -2,6 +2,7 @@
 
 import io
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,8 +55,10 @@ def test_a_table_shows_foreign_cells_as_text_and_keeps_its_own_colours(terminal)
     assert ("\x1b[31m" in text) is terminal
 
 
-def test_a_label_keeps_its_colour(capsys):
-    echo(f" {EVIL}", label=("error", "red"), color=True)
+def test_a_label_keeps_its_colour(capsys, monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    echo(f" {EVIL}", label=("error", "red"))
     assert capsys.readouterr().out.startswith(click.style("error", fg="red") + r" gocator\x1b]0")
 
 

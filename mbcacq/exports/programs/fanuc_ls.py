@@ -7,6 +7,7 @@ description by rows (as of the maker's own for ROS).
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ def read(text: str, n: int) -> RobotProgram:
     except UnexpectedInput as error:
         place = begin + max(int(error.pos_in_stream or 0), 0)
         raise ConfigError(f"line {line_of(place)}: these positions are not understood; save the program as ASCII (.ls) anew") from None
-    uses = _uses(text, sections["MN"].end(), begin, line_of) if "MN" in sections else {}
+    uses = _uses(text, sections["MN"].end(), begin, line_of) if "MN" in sections else defaultdict(Uses)
     points: list[ProgrammedPoint] = []
     left: list[LeftAlone] = []
     for position in tree.children:
@@ -66,7 +67,7 @@ def _position(
     if any(len(p) < 2 or p[0].startswith("*") or p[1].lower() != "deg" for p in parts):
         left.append((name, line, "is not taught, or has axes in mm"))
         return
-    reason = uses.get(key, Uses()).reason("p")
+    reason = uses[key].reason("p")
     if reason:
         left.append((name, line, reason))
         return
@@ -79,7 +80,7 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
     """What the statements between two places do with each position."""
     from lark.exceptions import LarkError
 
-    out: dict[str, Uses] = {}
+    out: dict[str, Uses] = defaultdict(Uses)
     everything = Uses()  # of positions whose number is in a register
     at = begin
     for statement in text[begin:end].split(";"):
@@ -90,7 +91,7 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
             tree = parser_of("fanuc_statement.lark").parse(statement)
         except LarkError:
             for key in re.findall(r"\bP\[\s*(\d+)", statement):
-                out.setdefault(str(int(key)), Uses()).otherwise.append(number)
+                out[str(int(key))].otherwise.append(number)
             continue
         words = [str(c) for c in tree.children if kind(c) == "NAME"]
         motion = bool(words) and (words[0] in MOTIONS or not _numbered(tree))
@@ -99,27 +100,12 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
         for indexed in (t for t in tree.iter_subtrees() if t.data == "indexed" and str(t.children[0]) == "P"):
             first = indexed.children[1] if len(indexed.children) > 1 else None
             numbered = kind(first) == "SIGNED" and str(first).isdecimal()
-            uses = out.setdefault(str(int(str(first))), Uses()) if numbered else everything
+            uses = out[str(int(str(first)))] if numbered else everything
             target = uses.relative if relative else uses.otherwise if moved or not motion else uses.absolute
             target.append(number)
-    for key in list(out):
-        out[key].absolute += everything.absolute
-        out[key].relative += everything.relative
-        out[key].otherwise += everything.otherwise
-    if everything.absolute or everything.relative or everything.otherwise:
-        return _Either(everything, out)
-    return out
-
-
-class _Either(dict[str, Uses]):
-    """Uses by number; what no statement names by its number may be reached by a register."""
-
-    def __init__(self, everything: Uses, named: dict[str, Uses]) -> None:
-        super().__init__(named)
-        self._everything = everything
-
-    def get(self, key: str, default: Any = None) -> Uses:  # type: ignore[override]
-        return super().get(key) or self._everything
+    for uses in out.values():
+        uses.add(everything)
+    return defaultdict(lambda: everything, out)  # what no statement names by its number may be reached by a register
 
 
 def _numbered(tree: Any) -> bool:

@@ -97,6 +97,12 @@ class Uses:
     relative: list[int] = field(default_factory=list)
     otherwise: list[int] = field(default_factory=list)
 
+    def add(self, other: Uses) -> None:
+        """Take in further places."""
+        self.absolute += other.absolute
+        self.relative += other.relative
+        self.otherwise += other.otherwise
+
     def reason(self, name: str) -> str:
         """Why the coordinates of a variable are not to be touched, '' where they are a target."""
         if self.relative:
@@ -120,9 +126,7 @@ class Variables(dict[str, Uses]):
     def add(self, others: Variables) -> None:
         """Take in what another program does with the same variables."""
         for name, uses in others.items():
-            self[name].absolute += uses.absolute
-            self[name].relative += uses.relative
-            self[name].otherwise += uses.otherwise
+            self[name].add(uses)
 
 
 DEGREES = DEGREE  # rad of one

@@ -12,7 +12,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.model import yaml12
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import Cell, RobotModel
 from mbcacq.model.cell_schema import CellSpec, RobotSpec
 from mbcacq.model.shipped import named_file
 from mbcacq.model.yaml_source import LARGE, Path_, YamlFile, parse, read
@@ -30,6 +30,11 @@ def read_cell(path: Path) -> tuple[Cell, str]:
     line."""
     text = _with_its_robot(read(path, CELL, LARGE))
     return parse_cell(text, str(path)), text
+
+
+def robot_of(name: str) -> RobotModel:
+    """The arm of the tool's of that name, or of a robot file. Raises ConfigError."""
+    return validate(RobotSpec, read(named_file("robots", name), "robot file")).model()
 
 
 def _with_its_robot(file: YamlFile) -> str:

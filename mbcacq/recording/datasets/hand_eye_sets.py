@@ -15,14 +15,15 @@ import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.table import Table, read_table
+from mbcacq.files.table import Table
 from mbcacq.geometry import se3
 from mbcacq.model import yaml12
-from mbcacq.recording.datasets.columns import groups, names_poses
+from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets.columns import groups
 from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.length_table import read_lengths
 from mbcacq.recording.datasets.line_profiles import read_profiles
-from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
+from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, table_of, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings
 from mbcacq.recording.datasets.profiles_in_motion import read_profiles_in_motion
 
@@ -57,11 +58,6 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         return _of_samples(first, options)
     table = table_of(first, options)
     return read_profiles(table, options) or read_lengths(table, options) or read_loose_table(first, options)
-
-
-def table_of(path: Path, options: TableOptions) -> Table:
-    names = {file: ours for ours, file in options.columns.items()}
-    return read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
 
 
 def _without_columns(options: TableOptions) -> TableOptions:
@@ -113,7 +109,6 @@ def _matrix(values: Any) -> np.ndarray:
 
 
 def _ros_transform(content: dict[str, Any]) -> np.ndarray:
-    from mbcacq.recording.datasets import quaternions
 
     content = content.get("transform", content)
     t, r = content["translation"], content["rotation"]

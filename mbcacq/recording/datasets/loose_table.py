@@ -103,12 +103,17 @@ class TableReading:
 def read_loose_table(path: Path, options: TableOptions | None = None) -> UnderstoodTable:
     """Read a table of at least ``LEAST_POSES`` rows. Raises ConfigError naming what is missing, or what the data cannot decide."""
     options = options or TableOptions()
-    names = {file: ours for ours, file in options.columns.items()}
-    table = read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
+    table = table_of(path, options)
     options = replace(options, length=options.length or unit_above(table))
     if len(table) < LEAST_POSES:
         raise ConfigError(f"{path}: {len(table)} rows; a hand-eye calibration needs at least {LEAST_POSES} poses, better 15 and more")
     return understood(table, options)
+
+
+def table_of(path: Path, options: TableOptions) -> Table:
+    """The table in a file, its columns by the names of this program where ``options`` say them."""
+    names = {file: ours for ours, file in options.columns.items()}
+    return read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
 
 
 def understood(table: Table, options: TableOptions) -> UnderstoodTable:
@@ -389,13 +394,3 @@ def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[Ro
     if len(columns) != options.robot.n:
         raise ConfigError(f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes")
     return options.robot, joint_angles(table, columns, options.angle)
-
-
-def robot_of(name: str) -> RobotModel:
-    """The arm of the tool's of that name, or of a robot file. Raises ConfigError."""
-    from mbcacq.model.cell_schema import RobotSpec
-    from mbcacq.model.shipped import named_file
-    from mbcacq.model.yaml_source import read
-    from mbcacq.recording.datasets.open_format import validate
-
-    return validate(RobotSpec, read(named_file("robots", name), "robot file")).model()

@@ -10,7 +10,8 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.files.atomic_write import write_file
 from mbcacq.files.stated_unit import in_words
 from mbcacq.model.cell import Artefact, Cell
-from mbcacq.spheres import ply
+from mbcacq.spheres import centres_from_ply, find_spheres, ply, read_cloud
+from mbcacq.spheres.cloud_file import UNITS_MM
 
 TRIED = 5  # clouds without a ball that are looked at in other units
 
@@ -20,7 +21,6 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
 
     pose_id: (P,); station: (P,) index into ``cell.stations``. Raises ConfigError naming the cloud that cannot be used.
     """
-    from mbcacq.spheres import centres_from_ply
 
     index = {ball: i for i, ball in enumerate(cell.ball_ids)}
     pose, ball, xyz, count, rms = [], [], [], [], []
@@ -57,8 +57,6 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
 
 def _refuse_other_unit(path: Path, artefact: Artefact) -> None:
     """Raise ConfigError naming the unit in which a cloud that shows no ball of the artefact in mm shows some."""
-    from mbcacq.spheres import find_spheres, read_cloud
-    from mbcacq.spheres.cloud_file import UNITS_MM
 
     points = read_cloud(path)
     for unit, factor in UNITS_MM.items():

@@ -10,7 +10,6 @@ import numpy as np
 import rerun as rr
 
 from mbcacq.effects.in_words import spelt_out
-from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -20,7 +19,8 @@ from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, log_motion, motion_tabs
-from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+from mbcacq.recording.rrd.new_stream import filed
+from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
 
 ARROW_SHARE = 0.10  # of the extent of the measured places: how long a large difference (95 %) before is drawn
@@ -63,31 +63,27 @@ def stream_diagnosis(
     scale, curves = _scale(point, before), list(pictures.get("curves", ()))[:MOST_CHARTS]
     titles, height = [_response_title(curve) for curve in curves], sheet_height(len(curves))
     times, recording_id = _of_run(run)
-    stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
-    try:
-        with into_file(stream, partial):
-            if run is None:
-                viewpoint = place_camera(
-                    obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3))
-                )
-                further = () if motion is None else motion_tabs(motion, f"Motion (timeline {layout.ROBOT_TIME})")
-                send_default_blueprint(stream, alone(viewpoint, scale, titles, further))
-                if motion is not None:
-                    log_motion(stream, motion)
-                scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
-                _log_arm(stream, obs)
-            stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
-            stream.log(layout.DIAGNOSIS_TEXT, drawn_text(text), static=True)
-            _log_arrows(stream, point, before, after, scale)
-            for k, cause in enumerate(pictures["causes"]):
-                entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
-                label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
-                stream.log(entity, rr.SeriesPoints(names=[drawable(label)], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
-            for k, curve in enumerate(curves):
-                _log_response(stream, f"{layout.RESPONSES}/{k}", curve, height)
-            _log_poses(stream, centres, before, after, pictures["causes"], times)
-    except (RuntimeError, OSError) as error:
-        raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
+    blueprint = None
+    if run is None:
+        places = np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3))
+        further = () if motion is None else motion_tabs(motion, f"Motion (timeline {layout.ROBOT_TIME})")
+        blueprint = alone(place_camera(obs.cell.robot.chain, places), scale, titles, further)
+    with filed(partial, blueprint, recording_id=recording_id, send_properties=run is None) as stream:
+        if run is None:
+            if motion is not None:
+                log_motion(stream, motion)
+            scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
+            _log_arm(stream, obs)
+        stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
+        stream.log(layout.DIAGNOSIS_TEXT, drawn_text(text), static=True)
+        _log_arrows(stream, point, before, after, scale)
+        for k, cause in enumerate(pictures["causes"]):
+            entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
+            label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
+            stream.log(entity, rr.SeriesPoints(names=[drawable(label)], colors=[scene.CURVES[k]], marker_sizes=[3.0]), static=True)
+        for k, curve in enumerate(curves):
+            _log_response(stream, f"{layout.RESPONSES}/{k}", curve, height)
+        _log_poses(stream, centres, before, after, pictures["causes"], times)
 
 
 def _log_arrows(stream: rr.RecordingStream, point: np.ndarray, before: np.ndarray, after: np.ndarray, scale: float) -> None:
@@ -130,7 +126,6 @@ def _of_run(run: Path | None) -> tuple[dict[int, float], str | None]:
     """Run time (s) of each pose, and the recording id."""
     if run is None:
         return {}, None
-    from mbcacq.recording.rrd.reader import open_recordings
 
     recordings = open_recordings(run)
     return {int(row["pose"][0]): float(row["time_s"][0]) for r in recordings for row in r.observed()}, recordings[0].recording_id

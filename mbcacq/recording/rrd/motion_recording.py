@@ -10,14 +10,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.quantities import symbol
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.blueprint import collapsed, curves_over_time
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
-from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+from mbcacq.recording.rrd.new_stream import filed
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE
 
 MEASURED = (190, 198, 210)
@@ -41,15 +40,9 @@ class MotionDrawn:
 
 def write_motion(path: Path | str, motion: MotionDrawn) -> Path:
     """Write a .rrd of a diagnosis of motion alone. Raises RecordingError if it cannot be written."""
-    with replacing(path) as partial:
-        stream = new_stream(layout.APPLICATION)
-        try:
-            with into_file(stream, partial):
-                tabs = rrb.Tabs(*motion_tabs(motion), active_tab=0)
-                send_default_blueprint(stream, rrb.Blueprint(tabs, *collapsed(layout.ROBOT_TIME)))
-                log_motion(stream, motion)
-        except (RuntimeError, OSError) as error:
-            raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
+    blueprint = rrb.Blueprint(rrb.Tabs(*motion_tabs(motion), active_tab=0), *collapsed(layout.ROBOT_TIME))
+    with replacing(path) as partial, filed(partial, blueprint) as stream:
+        log_motion(stream, motion)
     return Path(path)
 
 

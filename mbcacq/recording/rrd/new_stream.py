@@ -11,6 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings
 
+from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
 
@@ -38,6 +39,22 @@ def into_file(stream: rr.RecordingStream, path: Path) -> Iterator[None]:
         path.write_bytes(memory.drain_as_bytes())
     finally:
         stream.disconnect()
+
+
+@contextmanager
+def filed(
+    path: Path, blueprint: rrb.Blueprint | None = None, application: str = layout.APPLICATION, **options: Any
+) -> Iterator[rr.RecordingStream]:
+    """A stream of its own, whose rows are the file when the block ends. blueprint: what a viewer shows at first; options: as of
+    ``new_stream``. Raises OSError where the file cannot be written, which ``replacing`` and ``write_files`` make a sentence of."""
+    stream = new_stream(application, **options)
+    try:
+        with into_file(stream, path):
+            if blueprint is not None:
+                send_default_blueprint(stream, blueprint)
+            yield stream
+    except RuntimeError as error:  # of the rerun library
+        raise OSError(str(error)) from error
 
 
 def send_default_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:

@@ -10,12 +10,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.blueprint import collapsed
 from mbcacq.recording.rrd.drawable import drawn_text
-from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+from mbcacq.recording.rrd.new_stream import filed
 from mbcacq.recording.rrd.scan_colouring import GREY, diverging
 
 AS_EXPECTED, WORST = 1.0, 3.0  # step over what is expected of it: ends of the colours
@@ -56,14 +55,8 @@ def write_part(path: Path | str, drawn: PartDrawn) -> Path:
     if drawn.deviations is not None:
         views.append(rrb.Spatial3DView(name="deviations from CAD", origin="part/cad"))
     shown = rrb.Horizontal(rrb.Grid(*views), rrb.TextDocumentView(name="agreement", origin="part/text"), column_shares=[4, 1])
-    with replacing(path) as partial:
-        stream = new_stream(layout.APPLICATION)
-        try:
-            with into_file(stream, partial):
-                send_default_blueprint(stream, rrb.Blueprint(shown, *collapsed(layout.TIME)))
-                _log(stream, drawn)
-        except (RuntimeError, OSError) as error:
-            raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
+    with replacing(path) as partial, filed(partial, rrb.Blueprint(shown, *collapsed(layout.TIME))) as stream:
+        _log(stream, drawn)
     return Path(path)
 
 

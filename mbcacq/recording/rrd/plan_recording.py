@@ -30,15 +30,14 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
     from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
     from mbcacq.recording.rrd.drawable import drawable
-    from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+    from mbcacq.recording.rrd.new_stream import filed
 
     cell = loaded.cell
-    rec = new_stream("mbcacq_plan")
     viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
     view = space("Plan: the arm on its path, the artefacts at their stations, in mm", [f"+ /{layout.WORLD}/**"], viewpoint)
-    with into_file(rec, partial):
-        log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
-        send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *collapsed(layout.TIME)))
+    log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
+    blueprint = rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *collapsed(layout.TIME))
+    with filed(partial, blueprint, "mbcacq_plan") as rec:
         scene.log_static(rec, cell, loaded.text)
         rec.set_time(layout.TIME, duration=0.0)
         for station in cell.stations:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -71,7 +72,6 @@ def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.Comple
 
 def error_line(result: subprocess.CompletedProcess[str]) -> str:
     """The line of the output that names the error, without colours and time stamps."""
-    import re
 
     lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip() for line in (result.stderr or result.stdout or "").splitlines()]
     lines = [line for line in lines if line]

@@ -10,9 +10,8 @@ import numpy as np
 import rerun as rr
 
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import RecordingError
 from mbcacq.estimation.forward_model import CellState, predict, residual
-from mbcacq.files.atomic_write import publish
+from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
@@ -20,7 +19,7 @@ from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.chart import Chart
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.drawable import drawn_text
-from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
+from mbcacq.recording.rrd.new_stream import filed
 from mbcacq.recording.rrd.reader import open_recordings
 
 BALL_ARROW_MM, SPACE_ARROW = 60.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
@@ -62,21 +61,20 @@ def log_result(
     run = Path(run)
     recordings = open_recordings(run)
     times = {int(row["pose"][0]): float(row["time_s"][0]) for recording in recordings for row in recording.observed()}
-    path = run / layout.RESULT_FILE
-    partial = path.with_name(".result.part.rrd")
-    stream = new_stream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
-    try:
-        states = {"before": before, "after": after} if before is not None else {"after": after}
-        moved = {"after": effects.displacements(observations)} if effects else {}
-        errors = {name: residual(observations, predict(observations, state, moved.get(name)))[:, :3] for name, state in states.items()}
-        known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
-        shown = known[observations.station[observations.pose]]
-        verified = judgement is not None and len(judgement.error) > 0
-        investigated = (run / layout.INVESTIGATION_FILE).exists()
-        panels = {"lengths": verified, "compared": before is not None, "investigated": investigated}
-        scale = replace(_scales(observations, after, errors, shown), **panels)
-        with into_file(stream, partial):
-            send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
+    states = {"before": before, "after": after} if before is not None else {"after": after}
+    moved = {"after": effects.displacements(observations)} if effects else {}
+    errors = {name: residual(observations, predict(observations, state, moved.get(name)))[:, :3] for name, state in states.items()}
+    known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
+    shown = known[observations.station[observations.pose]]
+    verified = judgement is not None and len(judgement.error) > 0
+    investigated = (run / layout.INVESTIGATION_FILE).exists()
+    panels = {"lengths": verified, "compared": before is not None, "investigated": investigated}
+    scale = replace(_scales(observations, after, errors, shown), **panels)
+    blueprint = for_cell(observations.cell, recordings[0].text(layout.PLAN), scale)
+    same = {"recording_id": recordings[0].recording_id, "send_properties": False}
+
+    def write(partial: Path) -> None:
+        with filed(partial, blueprint, **same) as stream:
             _log_static(stream, scale)
             for k, number in enumerate(observations.pose_id.tolist()):
                 if number not in times or not known[observations.station[k]]:
@@ -89,14 +87,9 @@ def log_result(
             _log_stations(stream, observations, after, known)
             if judgement is not None:
                 _log_judgement(stream, judgement)
-            summary = _summary(observations, errors, shown, scale)
-            stream.log(layout.SUMMARY, drawn_text(summary), static=True)
-        note_made(partial, path)
-        publish(partial, path)
-    except (RuntimeError, OSError) as error:
-        raise RecordingError(f"{path} cannot be written: {error}; free the disk or calibrate into another folder") from error
-    finally:
-        partial.unlink(missing_ok=True)
+            stream.log(layout.SUMMARY, drawn_text(_summary(observations, errors, shown, scale)), static=True)
+
+    (path,) = write_files(run, {layout.RESULT_FILE: write}, on_disk=lambda name, partial: note_made(partial, run / name))
     return path
 
 

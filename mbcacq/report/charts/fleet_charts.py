@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.figure import Figure
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, Plot
-from mbcacq.report.several import ArmTypeContent, FleetChart
+from mbcacq.report.several import ArmTypeContent, ControlChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
 MOST_NAMES, NAME_APART = 12, 0.05  # of arms at their lines; their distance as a share of the axis
@@ -142,13 +142,13 @@ def _chosen(drawn: Plot, kind: ArmTypeContent, traces: int, x: dict[str, Any], w
     return drawn
 
 
-def _farthest(chart: FleetChart, arm: int) -> float:
+def _farthest(chart: ControlChart, arm: int) -> float:
     """Largest distance of an arm's recordings from its centre line, in limits; NaN where there is none."""
     here = (chart.arm == arm) & np.isfinite(chart.deviation) & (chart.limit > 0)
     return float(np.max(np.abs(chart.deviation[here]) / chart.limit[here])) if here.any() else np.nan
 
 
-def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[int]:
+def _named_at_the_end(kind: ArmTypeContent, chart: ControlChart, order: list[int]) -> list[int]:
     """The last recording of each arm that is named there; those that are farthest out first, and none over another."""
     last = {int(chart.arm[i]): i for i in order}
     apart = NAME_APART * float(np.nanmax(chart.deviation) - np.nanmin(chart.deviation)) if np.isfinite(chart.deviation).any() else 0.0

@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
-from mbcacq.calibration.result_io import ONE_VIEW, caveats, noise_of_a_view, of_flange_poses
+from mbcacq.calibration.result_io import ONE_VIEW, caveats, effects_of, noise_of_a_view, of_flange_poses, state_from_dict
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
@@ -54,7 +54,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        from mbcacq.calibration.result_io import effects_of, state_from_dict
         from mbcacq.report.sources import measured
 
         used = measured.calibrated_poses(observations, result)
