@@ -167,8 +167,8 @@ statements: sqrt(chi2(f; 2.5 %, 97.5 %) / f) times the expected rms, with f = tr
 errors (Satterthwaite). NEES is the square of error over uncertainty, a coordinate.
 
 **What is stated beyond the third.** The covariance of links and effects in full; an unmodelled function of one angle or moment as a smooth
-process over all that the joint reaches, whose size is as uncertain as the coefficients that determined it; a named effect that is held, or a
-law that goes on, with an error of its own; the lost motion of a typical gear where gravity turns a joint to a side that was not learnt.
+process over all that the joint reaches, whose size is as uncertain as the coefficients that determined it; a named effect that is held, or
+a law that goes on, with an error of its own; the lost motion of a typical gear where gravity turns a joint to a side that was not learnt.
 Base and tool absorb what they absorbed when they were fitted. The statement falls short where a name is wrong, where a function is of two
 angles or acts at a frame, and where nothing at all shows within the third.
 

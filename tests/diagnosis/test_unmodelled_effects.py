@@ -16,7 +16,7 @@ from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.executor import WorkerPool
 from mbcacq.diagnosis.nonparametric import basis_functions
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
-from mbcacq.diagnosis.output.kept_model import kept_model, unmodelled_terms
+from mbcacq.diagnosis.output.kept_model import kept_model, term_of
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.search.effect_set import Member
@@ -157,7 +157,7 @@ def test_what_a_process_describes_is_kept_for_other_places(medium_plan):
     assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
 
 
-def test_what_is_kept_displaces_what_was_judged():
+def test_what_is_written_down_displaces_what_was_judged():
     """Blocks of several locations and a process of two angles, on joints that turn to both sides of their zero."""
     setup = prepare(simulated.observe(simulated.plan(6, 2, 6), 125, [pull_on_joint_five_where_five_and_six_meet]))
     blocks, obs = UnmodelledEffects(setup.design_blocks), setup.linear.obs
@@ -169,7 +169,9 @@ def test_what_is_kept_displaces_what_was_judged():
     here, learnt = Covariates(obs), LearntRecording.of(obs)
     assert process.candidate.depends_on in ("q5", "q6")
     assert np.all(obs.q[:, 4:].min(axis=0) < 0)
-    for member, kept in zip(found.members, unmodelled_terms(here, found), strict=True):
+    for member in found.members:
+        nothing = np.zeros(member.candidate.k)
+        kept = term_of(here, member.candidate, member.hyper, nothing, nothing)
         for part, own in zip(kept.parts_at(here, learnt), parts_of(member.candidate, here), strict=True):
             np.testing.assert_allclose(part.basis, own.basis, atol=1e-8 * np.abs(own.basis).max())
 
