@@ -164,7 +164,7 @@ def _strongest_order(groups: _Groups) -> tuple[float, int, float]:
     left = groups.extended.at(noise).after_fit().poses.by_pose(lambda of: of.residual_joint)
     error, q = problem.rows.per_pose(left) * noise.joint, problem.obs.q
     found = 0.0, 0, 0.0
-    for j in range(q.shape[1]):
+    for j in np.flatnonzero(~problem.obs.cell.robot.chain.prismatic).tolist():
         step = np.pi / 2 / max(float(np.ptp(q[:, j])), np.pi / 2)  # a quarter of the distance of orders that can be told apart
         shifts = np.arange(8 * step, 2 * FASTEST_MESH, step)
         alike = shifts[np.abs(np.exp(1j * np.outer(shifts, q[:, j])).mean(axis=1)) > ALIAS]
