@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -43,6 +44,7 @@ from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.workflow.acquire import solver_cell
 
+sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
 SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
 JOINT = 5e-6
 COUNT = option("--cells", type=int, default=40, help="number of made cells")
@@ -143,7 +145,7 @@ def arm(args: argparse.Namespace) -> None:
 
 def steps(args: argparse.Namespace) -> None:
     """Steps between two scans of the fake scanner: error against its covariance (NEES), and the share of the scatter that is noise."""
-    from parts.test_steps import pairs
+    from test_steps import pairs
 
     o = PartOptions()
     for shape in ("casting", "blocks", "turned"):
@@ -159,7 +161,7 @@ def steps(args: argparse.Namespace) -> None:
         print(f"{shape}: NEES {np.mean(each):.2f} +- {scatter:.2f}; share {noise.share:.2f}; not determined in {named} of {args.pairs}")
 
 
-def check_of(folder: Path) -> PlannedCheck:
+def check_of() -> PlannedCheck:
     """A check by the 30 scans of plans/part.yaml, of a cell that the balls of plans/kuka.yaml calibrated."""
     learnt = load(PLANS / "kuka.yaml")
     observations, _ = observe(learnt, expand(learnt), Scenario(0, "none", 3, (), 1, 1.0), [])
@@ -169,9 +171,9 @@ def check_of(folder: Path) -> PlannedCheck:
 
 def check(args: argparse.Namespace) -> None:
     """False alarms over days without a change, and the looks until a slip of the mount of 0.05 mm in any direction is found."""
-    from interim_check.test_check_on_part import checked, day_of
+    from test_check_on_part import checked, day_of
 
-    planned, looks, alarms, first, second = check_of(Path()), 0, 0, 0, 0
+    planned, looks, alarms, first, second = check_of(), 0, 0, 0, 0
     for k in range(args.cells):
         rng = np.random.default_rng(1000 + k)
         days = [day_of(planned, rng) for _ in range(10)]
@@ -200,9 +202,9 @@ def views(args: argparse.Namespace) -> None:
 
 def memory(args: argparse.Namespace) -> None:
     """Peak memory of a merge, by the number of points."""
-    from parts import part_shapes
+    import part_shapes
 
-    cell = check_of(Path()).cell
+    cell = check_of().cell
     triangles, o, rng = (
         part_shapes.height_field(part_shapes.SHAPES["casting"], half=(400.0, 300.0)),
         PartOptions(),
@@ -229,7 +231,6 @@ def memory(args: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    assert TESTS.is_dir(), "the made shapes are those of the tests"
     raise SystemExit(
         bench.main(
             __doc__,
