@@ -1,6 +1,6 @@
 """Cells that are calibrated and checked by the scans of a part, and what else is made of such scans.
 
-Made scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose of the
+Simulated scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose of the
 part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and ``merge``.
 """
 
@@ -47,7 +47,7 @@ from mbcacq.workflow.acquire import solver_cell
 sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
 SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
 JOINT = 5e-6
-COUNT = option("--cells", type=int, default=40, help="number of made cells")
+COUNT = option("--cells", type=int, default=40, help="number of simulated cells")
 
 
 def plan_of(places: bool) -> LoadedPlan:
@@ -68,7 +68,7 @@ def plan_of(places: bool) -> LoadedPlan:
 
 
 def recording(loaded: LoadedPlan, poses: list[PlannedPose], seed: int, links: float) -> tuple[Observations, Chain, np.ndarray]:
-    """What scans of the part give in a made cell, its arm and its hand-eye transform. links: times the usual errors of an arm. Errors that
+    """What scans of the part give in a simulated cell, its arm and its hand-eye transform. links: times the usual errors of an arm. Errors that
     cannot be told from the place of the base or from the hand-eye transform are none."""
     rng, cell, q = np.random.default_rng(seed), loaded.cell, np.array([p.q for p in poses])
     ids = [s.id for s in cell.stations]
