@@ -11,7 +11,6 @@ from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.routing import Routes, find_paths
 from mbcacq.plan.timing import duration, motion_time
-from mbcacq.quantities import in_degrees
 
 
 def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> dict[str, Any]:
@@ -33,7 +32,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
                 "station": p.station,
                 "artefact": p.artefact,
                 "balls": list(p.balls),
-                "q_deg": in_degrees(p.q).round(4).tolist(),
+                "q_deg": loaded.cell.robot.shown(p.q).round(4).tolist(),
                 "exposures": p.exposures,
                 "line": p.line,
                 "waypoints": len(t),

@@ -23,7 +23,7 @@ from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
@@ -203,7 +203,7 @@ def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell
     alone = cell.extra.get("geometry_alone")
     chain = None
     if alone:
-        chain = Chain(cell.state.chain.sign, *(np.array(alone["calibrated"][p]) for p in PARAMETERS))
+        chain = cell.state.chain.with_rows(np.array([alone["calibrated"][p] for p in PARAMETERS]).T)
     name = str(data) if isinstance(data, Path | str) else ""
     observations = as_observations(data)
     found = check_transfer(observations, cell, chain, place=place, recording=name)
