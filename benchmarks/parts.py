@@ -1,7 +1,8 @@
 """Cells that are calibrated and checked by the scans of a part, and what else is made of such scans.
 
-Simulated scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose of the
-part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and ``merge``.
+Simulated scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose
+of the part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and
+``memory``.
 """
 
 from __future__ import annotations
@@ -68,8 +69,10 @@ def plan_of(places: bool) -> LoadedPlan:
 
 
 def recording(loaded: LoadedPlan, poses: list[PlannedPose], seed: int, links: float) -> tuple[Observations, Chain, np.ndarray]:
-    """What scans of the part give in a simulated cell, its arm and its hand-eye transform. links: times the usual errors of an arm. Errors that
-    cannot be told from the place of the base or from the hand-eye transform are none."""
+    """What scans of the part give in a simulated cell, its arm and its hand-eye transform. links: times the usual errors of an arm.
+
+    Errors that cannot be told from the place of the base or from the hand-eye transform are none.
+    """
     rng, cell, q = np.random.default_rng(seed), loaded.cell, np.array([p.q for p in poses])
     ids = [s.id for s in cell.stations]
     station = np.array([ids.index(p.station) for p in poses])
