@@ -23,6 +23,7 @@ from mbcacq.model.yaml_source import LARGE, parse
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.open_format import validate
+from mbcacq.spheres import find_spheres
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
@@ -347,8 +348,6 @@ def _mean_turn(turns: list[np.ndarray]) -> np.ndarray:
 
 def _clouds(bag: Bag, spec: BagSpec, cell: Cell, states: JointStates, windows: list[slice]) -> dict[str, Any]:
     """Centres of the balls in the last cloud of each standstill."""
-    from mbcacq.spheres import find_spheres
-
     if spec.point_cloud is None:
         raise ConfigError(f"{bag.path}: cell.yaml names neither a target nor a point_cloud under bag:; add the topic that was measured")
     last: dict[int, np.ndarray] = {}

@@ -35,6 +35,7 @@ from mbcacq.recording.datasets.csv_columns import (
     rotations,
 )
 from mbcacq.recording.datasets.observation_writer import IMAGES, write_observation_set
+from mbcacq.recording.datasets.scan_folder import centres_from_scans
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
 
@@ -69,8 +70,6 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
     elif separate:
         centres = _read_centres(read_table(folder / "centres.csv", CENTRES, names=names), cell, poses)
     elif (folder / "scans").is_dir():
-        from mbcacq.recording.datasets.scan_folder import centres_from_scans
-
         centres = centres_from_scans(folder, cell, poses["pose_id"], poses["station"])
     else:
         raise ConfigError(
