@@ -19,7 +19,7 @@ from mbcacq.diagnosis.output.exclusion_limits import BandLimit, limits_of_bands,
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import ORDERS, LimitBand, bands
 from mbcacq.diagnosis.search.bayes_factor import prior_weight
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -27,6 +27,7 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior, first_noise, noise_prior
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.plan import expand, load
 
 NAMES = ("seeing", "kuka", "paper")
@@ -67,8 +68,8 @@ class PlannedRecording:
 def with_effect(drawn: CandidateScoring, candidate: Candidate, hyper: float | None, coefficients: np.ndarray) -> CandidateScoring:
     """The recording had it that effect."""
     r0 = drawn.r0 + drawn.block(candidate, hyper) @ coefficients
-    store = ProductStore(noise=drawn.store.noise, independent=drawn.store.independent)  # what no residual changes
-    return replace(drawn, r0=r0, r=r0 - drawn.Q @ (drawn.Q.T @ r0), store=store)
+    unchanged = {key: value for key, value in drawn.known.items() if key == "noise" or key[0] == "independent"}  # what no residual changes
+    return replace(drawn, r0=r0, r=r0 - drawn.Q @ (drawn.Q.T @ r0), known=ComputedOnce(unchanged))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import MOVE, STOP, RsiCommand, Shared
 from rsi_bench import ACCELERATION, JERK, LIMITS, SOURCE, SPEED, START, T
 
-EVENTS = ("good", "lost", "rejected", "late", "burst")
-SHARES = (0.94, 0.02, 0.02, 0.015, 0.005)
+EVENTS = ("lost", "rejected", "counted", "late", "burst", "repeated", "swapped", "restarted")
+SHARES = (0.2, 0.2, 0.2, 0.15, 0.05, 0.1, 0.09, 0.01)  # of the disturbances
+DISTURBED = (0.01, 0.1)  # shares of the cycles, motion by motion
 ABSOLUTE, AWAKENING = "absolute", "absolute once it was probed"
 RELATIVE, HIDDEN = "relative", "relative once it was probed"
 GROUPS = (ABSOLUTE,) * 17 + (AWAKENING, RELATIVE, HIDDEN)
@@ -50,24 +51,32 @@ class Controller:
         self.path: list[np.ndarray] = []
         self.given: list[bool] = []
         self.woken = 0  # the cycle of the first answer that was carried out
+        self.overtaken = b""  # a telegram that arrives after the next one
 
     def cycle(self, event: str = "good", jump_deg: float = 0.0) -> None:
-        self.ipoc += 4
+        """counted: the controller takes the answer, and counts it as late all the same."""
+        self.ipoc += 4 if event != "restarted" else 40_000
         self.behind = 6.0 * T if event == "burst" else max(0.0, self.behind - T)
         answer = None
-        if event != "lost":
-            now = self.ipoc * 1e-3 + self.behind
-            answer = self.session.reply(self._telegram(jump_deg), SOURCE, now, event != "late")
+        now, telegram, before = self.ipoc * 1e-3 + self.behind, self._telegram(jump_deg), self.overtaken
+        self.overtaken = telegram if event == "swapped" else b""
+        if event not in ("lost", "swapped"):
+            answer = self.session.reply(telegram, SOURCE, now, event != "late")
             self.session.digest(now)
-        used = answer is not None and event in ("good", "burst") and self.behind < 0.9 * T and not self.ended
-        self.delay += not used and not self.ended
+            for again in filter(None, (before, telegram if event == "repeated" else b"")):
+                second = self.session.reply(again, SOURCE, now)
+                assert second is None or not self.session.connected, "a telegram was answered twice"
+                self.session.digest(now)
+        used = answer is not None and event in ("good", "burst", "counted", "repeated") and self.behind < 0.9 * T and not self.ended
+        self.delay += (not used or event == "counted") and not self.ended
+        correction = _AXES.findall(answer or b"")  # none: the controller keeps what it has
         if used and answer is not None and not self.deaf:
             self.woken = self.woken or len(self.path)
             self.ended = b"<Stop>1<" in answer
-            if not self.ended:
-                self.set_point = np.array([float(v) for v in _AXES.findall(answer)]) + (self.set_point if self.relative else START)
+            if not self.ended and correction:
+                self.set_point = np.array([float(v) for v in correction]) + (self.set_point if self.relative else START)
         self.path.append(self.set_point)
-        self.given.append(used)
+        self.given.append(used and bool(correction))
         self.q = self.q + self.share * (self.set_point - self.q)
 
     def _telegram(self, jump_deg: float) -> bytes:
@@ -87,11 +96,13 @@ class Controller:
 
 @dataclass(frozen=True)
 class Found:
-    """speed, acceleration: largest, in shares of their limits; after: largest step (deg) once the arm must stand; travel: largest way (deg)
-    of an arm whose controller adds up; fault: kind of it, or ''."""
+    """speed, acceleration, jerk: largest, in shares of their limits, but for what a hold is by itself; disturbances: how many; after:
+    largest step (deg) once the arm must stand; travel: largest way (deg) of an arm whose controller adds up; fault: kind of it, or ''."""
 
     speed: float
     acceleration: float
+    jerk: float
+    disturbances: int
     after: float
     travel: float
     fault: str
@@ -114,6 +125,7 @@ def drive(seed: int, number: int) -> Found:
         begin, still_from = len(one.path), CYCLES
         stop_at, turn_at = rng.integers(20, CYCLES - QUIET), rng.integers(20, CYCLES)
         jump_at = rng.integers(20, CYCLES) if rng.random() < JUMPS else -1
+        disturbed, disturbances = DISTURBED[number // (len(GROUPS) * len(ARMS)) % len(DISTURBED)], 0
         for cycle in range(CYCLES):
             one.deaf = cycle < awake_at
             if cycle == turn_at and turn_at < stop_at:
@@ -121,7 +133,9 @@ def drive(seed: int, number: int) -> Found:
             elif cycle == stop_at:
                 one.shared.send(RsiCommand(STOP))
                 still_from = min(still_from, cycle + QUIET)
-            one.cycle(str(rng.choice(EVENTS, p=SHARES)) if not one.behind else "good", 30.0 if cycle == jump_at else 0.0)
+            event = str(rng.choice(EVENTS, p=SHARES)) if not one.behind and rng.random() < disturbed else "good"
+            disturbances += event != "good"
+            one.cycle(event, 30.0 if cycle == jump_at else 0.0)
             if (fault := one.shared.fault()) is not None:
                 still_from = min(still_from, cycle + (1 if fault["kind"] in AT_ONCE else QUIET))
         fault = one.shared.fault()
@@ -134,8 +148,10 @@ def drive(seed: int, number: int) -> Found:
     steps, changes = np.abs(np.diff(path, axis=0)), np.abs(np.diff(path, 2, axis=0)).max(axis=1)
     speed = (steps.max() - 2 * ROUNDING_DEG) / (SPEED * T)
     acceleration = (changes[given[2:]].max(initial=0.0) - 4 * ROUNDING_DEG) / (ACCELERATION * T**2)
+    smooth = given[3:] & given[2:-1] & given[1:-2] & given[:-3]
+    jerk = (np.abs(np.diff(path, 3, axis=0)).max(axis=1)[smooth].max(initial=0.0) - 8 * ROUNDING_DEG) / (JERK * T**3)
     travel = float(np.abs(path - START).max()) if relative else 0.0
-    return Found(float(speed), float(acceleration), after, travel, fault["kind"] if fault else "")
+    return Found(float(speed), float(acceleration), float(jerk), disturbances, after, travel, fault["kind"] if fault else "")
 
 
 PROOF_LAGS_S = (0.0, 0.02, 0.05, 0.1, 0.15)
@@ -178,20 +194,27 @@ def proof(given: argparse.Namespace) -> None:
 
 def report(found: list[Found], what: str) -> bool:
     """Print a row; whether all of it is within the limits."""
-    speed, acceleration, after, travel = (max(getattr(f, n) for f in found) for n in ("speed", "acceleration", "after", "travel"))
+    speed, acceleration, jerk, after, travel = (
+        max(getattr(f, n) for f in found) for n in ("speed", "acceleration", "jerk", "after", "travel")
+    )
     kinds = {kind: sum(f.fault == kind for f in found) for kind in sorted({f.fault for f in found} - {""})}
     way = f", furthest {travel:.2f} deg" if travel else ""
-    print(f"{what}: {len(found)} motions, speed {speed:.4f}, acceleration {acceleration:.4f}, after {after:.1e} deg{way}; faults {kinds}")
-    return after == 0.0 and (travel > 0.0 or (speed <= 1.001 and acceleration <= 1.001))
+    disturbances = sum(f.disturbances for f in found)
+    print(
+        f"{what}: {len(found)} motions, {disturbances} disturbances, speed {speed:.4f}, acceleration {acceleration:.4f}, jerk {jerk:.4f}, "
+        f"after {after:.1e} deg{way}; faults {kinds}",
+        flush=True,
+    )
+    return after == 0.0 and (travel > 0.0 or max(speed, acceleration, jerk) <= 1.001)
 
 
 def path(given: argparse.Namespace) -> int:
-    """Every set point that a controller is given, on the path that it saw, against the limits of speed and acceleration, in simulated time.
+    """Every set point that a controller is given, on the path that it saw, against the limits of its motion, in simulated time.
 
-    Motions with lost telegrams, lost and late answers, telegrams that come in a burst, angles that jump, stops and turns; none may move
-    after a stop. Arms are ideal, lag, or lag and hum. Every tenth controller adds up its corrections (#RELATIVE), every second of these
-    only once it was probed: it carries corrections out from some moment on before or after its first motion was asked for. So does
-    every twentieth absolute one.
+    Motions with lost, repeated and overtaken telegrams, lost and late answers, answers that are counted as late although they were taken,
+    telegrams that come in a burst, restarts, angles that jump, stops and turns; none may move after a stop. Arms are ideal, lag, or lag and
+    hum. Every tenth controller adds up its corrections (#RELATIVE), every second of these only once it was probed: it carries corrections
+    out from some moment on before or after its first motion was asked for. So does every twentieth absolute one.
     """
     found = [drive(given.seed, k) for k in range(given.motions)]
     sound = True

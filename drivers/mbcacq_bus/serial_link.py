@@ -42,15 +42,10 @@ class SerialPortOptions(DriverOptions):
 
 
 class SerialConnection(SerialPortOptions):
-    """idle_poll_s: a connection to a serial server that nobody has used for so long is used once, since many close an idle one; 0 for
-    never."""
+    """idle_poll_s: a line that nobody has used for so long is used once: serial servers close an idle connection, and the device may have
+    moved; 0 for never."""
 
     idle_poll_s: float = Field(default=2.0, ge=0)
-
-    @property
-    def has_connection(self) -> bool:
-        """Whether there is a connection that the far end can close."""
-        return "://" in self.port
 
 
 class LineLost(DeviceTimeout):

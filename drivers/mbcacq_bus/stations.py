@@ -40,7 +40,7 @@ class StationPositioner(ContextDevice, ABC):
     model : str
         Of the plan.
     options : Any
-        A StationOptions with the connection's ``idle_poll_s`` and ``has_connection``.
+        A StationOptions with the connection's ``idle_poll_s``.
     link : Any
         The connection: ``open``, ``close``, ``connected``, ``used`` and ``name``.
     harmless : Callable[[], object]
@@ -57,7 +57,7 @@ class StationPositioner(ContextDevice, ABC):
         self, model: str, options: Any, link: Any, harmless: Callable[[], object], unit: str, flag_delay_s: float, stopped: threading.Event
     ) -> None:
         self._model, self._options, self._link, self._unit, self._flag_delay_s = model, options, link, unit, flag_delay_s
-        self._idle = IdlePoll(lambda: self._look_after(harmless), lambda: link.used, options.idle_poll_s if options.has_connection else 0.0)
+        self._idle = IdlePoll(lambda: self._look_after(harmless), lambda: link.used, options.idle_poll_s)
         self._targets = {str(k): v for k, v in options.stations.items()}
         self._stopped = stopped
         self._standing_at: float | None = None  # the position where it should stand now

@@ -8,21 +8,14 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mbcacq_gocator.build_loop import SOURCE, library_of
 from mbcacq_gocator.layouts import INVALID
-from mbcacq_gocator.reused import ReusedMemory
-
-Real = np.floating[Any]
-_BLOCK = 32768  # pixels: what is made of them fits the second-level cache
-# x, y, z of one pixel, raw and in mm: selected as one item, runs of valid pixels are moved whole
-_ROW, _POINT = np.dtype("V6"), np.dtype("V12")
-_memory = ReusedMemory()
 
 
 def load(library: Path) -> ctypes.CDLL | None:
@@ -58,13 +51,45 @@ def valid_points(raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, every: 
     """
     if not raw.size:  # 0 rows may announce any number of columns; nothing is to be made for them
         return np.empty((0, 3), np.float32), np.empty(0, np.int32)
-    raw, loop = np.ascontiguousarray(raw, "<i2"), compiled()
-    by = _with_numpy if loop is None else _Compiled(loop)
+    raw, loop, factor, shift = np.ascontiguousarray(raw, "<i2"), compiled(), scale.astype(np.float32), offset.astype(np.float32)
+    by = _with_numpy if loop is None else partial(_with_loop, loop)
     with np.errstate(over="ignore", invalid="ignore"):  # absurd scales make infinite points, which no gate lets pass
-        if raw.ndim == 3:
-            return by.cloud(raw, scale.astype(np.float32), offset.astype(np.float32), every)
-        x, y = ((offset[axis] + np.arange(n) * scale[axis]).astype(np.float32) for axis, n in enumerate(raw.shape[::-1]))
-        return by.heights(raw, x, y, np.float32(scale[2]), np.float32(offset[2]))
+        grid = [(offset[axis] + np.arange(n) * scale[axis]).astype(np.float32) for axis, n in enumerate(raw.shape[::-1])]
+        return by(raw, factor, shift, grid if raw.ndim == 2 else [], every)
+
+
+def _with_numpy(
+    raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, grid: Sequence[np.ndarray], every: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """grid: x and y of each column and row, of heights alone."""
+    if grid:
+        valid = raw != INVALID
+        points = np.empty((int(valid.sum()), 3), np.float32)
+        for axis, values in enumerate((grid[0], grid[1][:, None])):
+            points[:, axis] = np.broadcast_to(values, raw.shape)[valid]
+        points[:, 2] = raw[valid]
+        points[:, 2] *= scale[2]
+        points[:, 2] += offset[2]
+    else:
+        valid = (raw != INVALID).all(axis=2) if every else raw[..., 2] != INVALID
+        points = raw[valid].astype(np.float32)
+        points *= scale
+        points += offset
+    return points, np.flatnonzero(valid).astype(np.int32)
+
+
+def _with_loop(
+    loop: ctypes.CDLL, raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, grid: Sequence[np.ndarray], every: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    pixels = loop.count_heights(raw.ctypes.data, raw.size) if grid else raw.size // 3
+    points, pixel = np.empty((pixels, 3), np.float32), np.empty(pixels, np.int32)
+    given, made = (array.ctypes.data for array in (scale, offset)), (points.ctypes.data, pixel.ctypes.data)
+    if grid:
+        places = (values.ctypes.data for values in grid)
+        loop.height_points(raw.ctypes.data, *raw.shape, pixels, *places, scale[2], offset[2], *made)
+        return points, pixel
+    count = loop.cloud_points(raw.ctypes.data, pixels, every, *given, *made)
+    return points[:count], pixel[:count]
 
 
 def picked(grey: np.ndarray, pixel: np.ndarray) -> np.ndarray:
@@ -72,84 +97,8 @@ def picked(grey: np.ndarray, pixel: np.ndarray) -> np.ndarray:
     flat, loop = np.ascontiguousarray(grey, np.uint8).reshape(-1), compiled()
     if len(pixel) and not 0 <= pixel[0] <= pixel[-1] < flat.size:
         raise IndexError(f"pixel {pixel[-1]} of an image of {flat.size}")
-    if loop is None and len(pixel) < flat.size:
+    if loop is None:
         return flat[pixel]
-    found = _memory.empty(flat.size, np.uint8)[: len(pixel)]
-    if len(pixel) == flat.size or loop is None:  # the pixels are in order, each once
-        np.copyto(found, flat)
-        return found
+    found = np.empty(len(pixel), np.uint8)
     loop.pick(flat.ctypes.data, pixel.ctypes.data, len(pixel), found.ctypes.data)
     return found
-
-
-class _Compiled:
-    def __init__(self, loop: ctypes.CDLL) -> None:
-        self._loop = loop
-
-    def cloud(self, raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, every: bool) -> tuple[np.ndarray, np.ndarray]:
-        points, pixel = self._room(raw.shape[0] * raw.shape[1])
-        constants = scale.ctypes.data, offset.ctypes.data
-        count = self._loop.cloud_points(raw.ctypes.data, len(pixel), every, *constants, points.ctypes.data, pixel.ctypes.data)
-        return points[:count], pixel[:count]
-
-    def heights(self, raw: np.ndarray, x: np.ndarray, y: np.ndarray, scale: Real, offset: Real) -> tuple[np.ndarray, np.ndarray]:
-        count = self._loop.count_heights(raw.ctypes.data, raw.size)
-        points, pixel = (array[:count] for array in self._room(raw.size))
-        grid = x.ctypes.data, y.ctypes.data, scale, offset
-        self._loop.height_points(raw.ctypes.data, *raw.shape, count, *grid, points.ctypes.data, pixel.ctypes.data)
-        return points, pixel
-
-    @staticmethod
-    def _room(pixels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points and pixels, room for all: it has one size for one sensor, so that it fits the next scan too."""
-        return _memory.empty(3 * pixels, np.float32).reshape(pixels, 3), _memory.empty(pixels, np.int32)
-
-
-class _WithNumpy:
-    """In blocks, so that the passes over one of them read memory once; only the selection of valid points needs an array of its own."""
-
-    def cloud(self, raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, every: bool) -> tuple[np.ndarray, np.ndarray]:
-        flat = raw.reshape(-1)
-        if all(flat[start : start + 3 * _BLOCK].min() != INVALID for start in range(0, flat.size, 3 * _BLOCK)):
-            return self._to_mm(flat, scale, offset), np.arange(flat.size // 3, dtype=np.int32)
-        # The copy is there because numpy compares in vectors only what is contiguous.
-        valid = (raw != INVALID).all(axis=2).reshape(-1) if every else raw[..., 2].copy().reshape(-1) != INVALID
-        return self._to_mm(flat.view(_ROW)[valid].view(raw.dtype), scale, offset), np.flatnonzero(valid).astype(np.int32)
-
-    def _to_mm(self, raw: np.ndarray, scale: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """raw: (3 N,) int16, x y z in turn. Scale and offset are repeated to a block, so that every pass is contiguous."""
-        points = np.empty(raw.size, np.float32)
-        factor, shift = (np.tile(v, min(_BLOCK, raw.size // 3)) for v in (scale, offset))
-        for start in range(0, raw.size, 3 * _BLOCK):
-            out = points[start : start + 3 * _BLOCK]
-            out[:] = raw[start : start + 3 * _BLOCK]
-            np.multiply(out, factor[: out.size], out=out)
-            np.add(out, shift[: out.size], out=out)
-        return points.reshape(-1, 3)
-
-    def heights(self, raw: np.ndarray, x: np.ndarray, y: np.ndarray, scale: Real, offset: Real) -> tuple[np.ndarray, np.ndarray]:
-        """A block of whole rows holds the points of every pixel, x once for all blocks; from there the valid ones are copied as items."""
-        length, width = raw.shape
-        valid = (raw != INVALID).reshape(-1)
-        pixel = np.arange(raw.size, dtype=np.int32) if valid.all() else np.flatnonzero(valid).astype(np.int32)
-        rows = min(max(_BLOCK // width, 1), length)
-        block, height = np.empty((rows, width, 3), np.float32), np.empty((rows, width), np.float32)
-        block[:, :, 0] = x
-        points = np.empty((len(pixel), 3), np.float32)
-        source, target = block.view(_POINT).reshape(-1), points.view(_POINT).reshape(-1)
-        done = 0
-        for start in range(0, length, rows):
-            z = height[: length - start]
-            z[:] = raw[start : start + rows]
-            np.multiply(z, scale, out=z)
-            np.add(z, offset, out=block[: len(z), :, 2])
-            block[: len(z), :, 1] = y[start : start + rows, None]
-            chosen = source[: z.size]
-            if len(pixel) < raw.size:
-                chosen = chosen[valid[start * width : (start + rows) * width]]
-            target[done : done + len(chosen)] = chosen
-            done += len(chosen)
-        return points, pixel
-
-
-_with_numpy = _WithNumpy()

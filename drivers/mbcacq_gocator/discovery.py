@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -17,11 +16,10 @@ _SIGNATURE = 0x0000504455494D4C  # "LMIUDP"
 _GET_ADDRESS, _GET_INFO, _REPLY = 1, 5, 0x1000
 _REQUEST = struct.Struct("<QQQQ")
 _HEAD = struct.Struct("<QQqQH")
-_INFO = struct.Struct("<IIQBB4s12sIB4s12s5H")
-_OLD = struct.Struct("<QQqQQQ4x4s4x4s4x4s8x")
+_INFO = struct.Struct("<II10x4s12xI17xH2xHH2x")  # serial, firmware, address, length of the network's prefix, ports
+_OLD = struct.Struct("<QQqQQ12x4s4x4s16x")
 _OLD_PORTS = (3190, 3194, 3196)
 _UNTOLD = (0, 0, 0, 0)
-_MAX_SENSORS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +33,6 @@ class FoundSensor:
     firmware: tuple[int, int, int, int]
     address: str
     prefix_length: int
-    gateway: str
-    dhcp: bool
-    uptime_s: float
     control_port: int
     health_port: int
     data_port: int
@@ -53,21 +48,12 @@ def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = P
 
     Sensors answer by broadcast, so a firewall must let udp from port 3220 in. Raises ConnectError if nothing can be sent.
     """
+    # The second for firmware before 5.1, which knows no other.
+    requests = [_REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial) for kind in (_GET_INFO, _GET_ADDRESS)]
     found: dict[int, FoundSensor] = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        sock.bind(("", 0))
-        for kind in (_GET_INFO, _GET_ADDRESS):  # the second for firmware before 5.1, which knows no other
-            broadcast.send(sock, _REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial), address, port)
-        deadline = time.monotonic() + timeout_s
-        while (remaining := deadline - time.monotonic()) > 0 and len(found) < _MAX_SENSORS:
-            sock.settimeout(remaining)
-            try:
-                sensor = parse_reply(sock.recv(65536))
-            except (TimeoutError, ProtocolError):
-                continue
-            if sensor.firmware != _UNTOLD or sensor.serial not in found:
-                found[sensor.serial] = sensor
+    for sensor in broadcast.ask(requests, address, port, timeout_s, lambda data, _: parse_reply(data)):
+        if sensor.firmware != _UNTOLD or sensor.serial not in found:
+            found[sensor.serial] = sensor
     return [found[key] for key in sorted(found)]
 
 
@@ -79,9 +65,7 @@ def parse_reply(data: bytes) -> FoundSensor:
         length, kind, status, signature, size = _HEAD.unpack_from(data)
         if (length, kind, status, signature, size) != (len(data), _REPLY + _GET_INFO, 1, _SIGNATURE, _INFO.size):
             raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
-        (serial, version, uptime_us, dhcp, _, ip, _, prefix, _, gateway, _, control, _, health, data_port, _) = _INFO.unpack_from(
-            data, _HEAD.size
-        )
+        serial, version, ip, prefix, control, health, data_port = _INFO.unpack_from(data, _HEAD.size)
         properties = _properties(data, _HEAD.size + _INFO.size)
     except (struct.error, IndexError):
         raise ProtocolError(f"a Gocator's discovery reply ends after {len(data)} bytes") from None
@@ -90,9 +74,6 @@ def parse_reply(data: bytes) -> FoundSensor:
         firmware=tuple(version.to_bytes(4, "big")),
         address=socket.inet_ntoa(ip),
         prefix_length=prefix,
-        gateway=socket.inet_ntoa(gateway),
-        dhcp=bool(dhcp),
-        uptime_s=uptime_us / 1e6,
         control_port=control,
         health_port=health,
         data_port=data_port,
@@ -101,7 +82,7 @@ def parse_reply(data: bytes) -> FoundSensor:
 
 
 def _parse_old(data: bytes) -> FoundSensor:
-    length, kind, status, signature, serial, dhcp, ip, mask, gateway = _OLD.unpack(data)
+    length, kind, status, signature, serial, ip, mask = _OLD.unpack(data)
     prefix = int.from_bytes(mask, "big").bit_count()
     if (length, kind, status, signature) != (_OLD.size, _REPLY + _GET_ADDRESS, 1, _SIGNATURE) or serial >= 2**32:
         raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
@@ -111,9 +92,6 @@ def _parse_old(data: bytes) -> FoundSensor:
         firmware=_UNTOLD,
         address=socket.inet_ntoa(ip),
         prefix_length=prefix,
-        gateway=socket.inet_ntoa(gateway),
-        dhcp=bool(dhcp),
-        uptime_s=0.0,
         control_port=control,
         health_port=health,
         data_port=data_port,

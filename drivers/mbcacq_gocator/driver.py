@@ -53,7 +53,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
-        super().__init__(name, model, self.options.retries, self.options.exposure_us, about)
+        super().__init__(name, model, self.options.exposure_us, about)
         self._before: Before | None = None
         self._stream: ProfileStream | None = None
         self._place = self.options

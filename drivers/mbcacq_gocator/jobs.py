@@ -1,15 +1,12 @@
-"""Which job the sensor runs: uploaded if the plan brings a file of it, then loaded; and put back as it was before."""
+"""Which job the sensor runs, and putting it back as it was before."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from mbcacq.devices import ConfigError
 from mbcacq_gocator.configuration import Configuration
 from mbcacq_gocator.files import LIVE_CONFIGURATION, LIVE_JOB, SensorFiles, job_name
-
-MAX_JOB = 32 * 2**20
 
 
 @dataclass
@@ -34,36 +31,10 @@ class Before:
         self.changed = False
 
 
-def read_job_file(path: str) -> bytes:
-    """Raises ConfigError if there is no such file, or one that cannot be a job."""
-    try:
-        size = Path(path).stat().st_size
-        if not 0 < size <= MAX_JOB:
-            raise ConfigError(f"the job file {path} has {size} bytes, a Gocator job has 1 to {MAX_JOB}")
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"the job file {path} cannot be read ({error.strerror}); correct job_file in the plan") from None
-
-
-def upload(files: SensorFiles, name: str, data: bytes, replace: bool, before: Before) -> bool:
-    """Store a job, unless the same bytes are there already; True if it was. Raises ConfigError where another job has that name."""
-    if name in files.jobs():
-        if files.read(name) == data:
-            return False
-        if not replace:
-            raise ConfigError(
-                f"the Gocator already has a job '{name}' that differs from the plan's job_file; give job another name, "
-                "or set replace_job: true"
-            )
-    before.changed = True
-    files.write(name, data)
-    return True
-
-
-def load(files: SensorFiles, name: str, before: Before, fresh: bool = False) -> None:
-    """Make a stored job the live one, unless it is already (``fresh``: even then). Raises ConfigError naming the stored jobs."""
+def load(files: SensorFiles, name: str, before: Before) -> None:
+    """Make a stored job the live one, unless it is already. Raises ConfigError naming the stored jobs."""
     wanted = job_name(name)
-    if not fresh and files.loaded_job() == wanted:
+    if files.loaded_job() == wanted:
         return
     stored = files.jobs()
     if wanted not in stored:

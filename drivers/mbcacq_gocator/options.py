@@ -38,7 +38,7 @@ def _exposures(value: Any) -> tuple[float, ...]:
 
 
 class GocatorOptions(SnapshotOptions):
-    """job_file: a file to store on the sensor as ``job`` (default: its own name) first. exposures_us: all of them at every capture, made
+    """exposures_us: all of them at every capture, made
     into one scan as ``bracket`` says. mode: profile streams the profiles of a line scanner, as its job triggers them. password: of the
     sensor's administrator, where its security is on; "$NAME" takes that environment variable, so that no plan need hold it. The others: see
     SnapshotOptions.
@@ -49,8 +49,6 @@ class GocatorOptions(SnapshotOptions):
     control_port: int = Field(default=3190, ge=1, le=65535, strict=True)
     health_port: int = Field(default=3194, ge=1, le=65535, strict=True)
     data_port: int = Field(default=3196, ge=1, le=65535, strict=True)
-    job_file: str = ""
-    replace_job: bool = Field(default=False, strict=True)
     mode: Literal["snapshot", "trigger", "profile"] = "snapshot"
     exposures_us: Annotated[tuple[float, ...], BeforeValidator(_exposures)] = ()
     bracket: Literal["merge", "best"] = "merge"

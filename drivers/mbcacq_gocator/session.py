@@ -6,14 +6,13 @@ import hashlib
 import socket
 import threading
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel
-from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
+from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.login import log_in
@@ -153,14 +152,8 @@ class GocatorSession:
         return Configuration(self.files.read(LIVE_CONFIGURATION))
 
     def _choose_job(self, before: jobs.Before) -> None:
-        options = self.options
-        if options.job_file:
-            data = jobs.read_job_file(options.job_file)
-            name = job_name(options.job or Path(options.job_file).name)
-            written = jobs.upload(self.files, name, data, options.replace_job, before)
-            jobs.load(self.files, name, before, fresh=written)
-        elif options.job:
-            jobs.load(self.files, options.job, before)
+        if self.options.job:
+            jobs.load(self.files, self.options.job, before)
 
     def _identify(self) -> SystemInfo:
         if self.control.version >= (101, 9):

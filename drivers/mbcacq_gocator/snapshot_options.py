@@ -12,8 +12,7 @@ from mbcacq.devices import DriverOptions, is_host
 class SnapshotOptions(DriverOptions):
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. allow_aligned: accept
     points that are not in the sensor's own coordinates. timeout_s: longest wait for a scan. reply_limit_s: caps the protocol's own time
-    limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts after a dropped
-    connection.
+    limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays.
     """
 
     sensor: ClassVar[str] = "sensor"  # in sentences
@@ -30,7 +29,6 @@ class SnapshotOptions(DriverOptions):
     connect_timeout_s: float = Field(default=3.0, ge=1e-3, le=1e3, strict=True)
     reply_limit_s: float | None = Field(default=None, ge=1e-3, le=1e3, strict=True)
     grace_s: float = Field(default=0.0, ge=0, le=1e4, strict=True)
-    retries: int = Field(default=2, ge=0, le=10, strict=True)
     broadcast: str = "255.255.255.255"
 
     @field_validator("address", "broadcast")

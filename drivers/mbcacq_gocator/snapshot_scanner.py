@@ -1,4 +1,4 @@
-"""What the drivers of both generations of snapshot sensors do alike: connect, expose, and try again after a dropped connection."""
+"""What the drivers of both generations of snapshot sensors do alike: connect, expose, and put back what was changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Generic, Protocol, TypeVar
 from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, Fact, IdentityError, ProtocolError, Scan
 from mbcacq_gocator.named_errors import named
 
-_BACKOFF_S = 0.2
 FINEST_US = 0.51  # a sensor may keep whole microseconds
 RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
 
@@ -42,9 +41,9 @@ def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
 class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     """Implements mbcacq.devices.Scanner. Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``."""
 
-    def __init__(self, name: str, model: str, retries: int, exposure_us: float | None, description: Description) -> None:
+    def __init__(self, name: str, model: str, exposure_us: float | None, description: Description) -> None:
         self.name, self.model = name, model
-        self._retries, self._exposure_us, self._description = retries, exposure_us, description
+        self._exposure_us, self._description = exposure_us, description
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
         self._session: S | None = None
@@ -87,39 +86,28 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         return Fact("job", session.job()), Fact("exposure", session.exposure), *identity
 
     def capture(self, exposure_us: float | None = None) -> Scan:
-        """Expose as the options say. Connects anew after a dropped connection, a few times.
+        """Expose as the options say, over a new connection where the sensor has closed the last one meanwhile.
 
-        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
+        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted (``stop`` was called).
         """
         if not self._wanted:
             raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
         with self._one_capture:
             if exposure_us is not None:
                 self._exposure_us = exposure_us
-            attempt = 0
-            while True:
-                if self._cancel.is_set():
-                    raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
-                try:
-                    session = self._connect()
-                    with named(self.name):
-                        scan = self._expose(session)
-                        self._facts = self._read_facts(session)
-                        return scan
-                except IdentityError:
-                    self._drop()
-                    raise
-                except ConnectError as error:
-                    self._drop()
-                    last = attempt >= self._retries
-                    if self._cancel.wait(0 if last else _BACKOFF_S * 2**attempt):
-                        raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
-                    if last:
-                        raise
-                except (Aborted, DeviceTimeout, ProtocolError):
-                    self._drop()  # what is still under way must not be taken for the next scan
-                    raise
-                attempt += 1
+            if self._cancel.is_set():
+                raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
+            try:
+                session = self._connect()
+                with named(self.name):
+                    scan = self._expose(session)
+                    self._facts = self._read_facts(session)
+                    return scan
+            except (Aborted, ConnectError, DeviceTimeout, IdentityError, ProtocolError) as error:
+                self._drop()  # what is still under way must not be taken for the next scan
+                if self._cancel.is_set() and isinstance(error, ConnectError):
+                    raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
+                raise
 
     def _connect(self) -> S:
         if self._session is not None and self._session.has_ended:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from mbcacq.devices import ConfigError
 from mbcacq_kuka import controller_outputs as outputs
-from mbcacq_kuka.controller_drawing import in_old_drawing
 from mbcacq_kuka.controller_flags import with_flags_from
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
 
@@ -72,27 +71,27 @@ def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
         raise ConfigError("the files for the controller need the option stop_element (Stop); leave it out of the plan")
     address, ethernet = _address("bind", options.bind), _ethernet(options)
     warnings = _warn_of_loopback("bind", address, "of the network card that is wired to the controller's RSI interface")
-    if options.eki:
-        warnings.append("option eki starts an RSI program of KUKA's server; the programs here are for a start by hand")
     cycle = "#IPO_FAST" if options.cycle_ms == 4 else "#IPO"
     limits = _limits("lim_low", "lim_high", options.limits_deg)
     reach = options.correction_limit_deg or (20.0,) * 6
-    old, numbers = {name: _reach(_read(f"rsi3/{name}"), reach) for name in ("mbcacq.rsi", "mbcacq.rsi.xml")}, options.digital_outputs
+    numbers = options.digital_outputs
+    if numbers:
+        warnings.append("the files for RSI before 4.1 (kss_older) switch no outputs; take driver kuka-eki there")
     programs = {folder: _read(f"{folder}/mbcacq_rsi.src").replace("#IPO_FAST", cycle) for folder in ("rsi4", "rsi3")}
     return {
         **_warnings_file(warnings),
         "README.txt": rsi_guide(options, facts, reach, warnings),
         "tool_data.txt": tool_data(1, facts),
-        "kss85/SensorInterface/mbcacq_ethernet.xml": ethernet,
+        "kss85/SensorInterface/mbcacq_ethernet.xml": outputs.in_ethernet(ethernet, numbers),
         "kss85/SensorInterface/mbcacq.rsix": outputs.in_context(_read("rsi4/mbcacq.rsix"), numbers),
         "kss85/Program/mbcacq_rsi.src": outputs.in_program(programs["rsi4"], numbers, "RSI_ON("),
         "kss85/Program/mbcacq_rsi.dat": _fill_data(_read("rsi4/mbcacq_rsi.dat"), limits),
         "kss_older/SensorInterface/mbcacq_ethernet.xml": ethernet,
-        "kss_older/SensorInterface/mbcacq.rsi": outputs.in_old_model(old["mbcacq.rsi"], numbers),
-        "kss_older/SensorInterface/mbcacq.rsi.xml": outputs.in_old_context(old["mbcacq.rsi.xml"], numbers),
-        "kss_older/SensorInterface/mbcacq.rsi.diagram": in_old_drawing(_read("rsi3/mbcacq.rsi.diagram"), numbers),
-        "kss_older/Program/mbcacq_rsi.src": outputs.in_program(programs["rsi3"], numbers, "RSI_ON("),
-        "iiqka/Ethernet configuration/mbcacq_ethernet.xml": ethernet,
+        "kss_older/SensorInterface/mbcacq.rsi": _reach(_read("rsi3/mbcacq.rsi"), reach),
+        "kss_older/SensorInterface/mbcacq.rsi.xml": _reach(_read("rsi3/mbcacq.rsi.xml"), reach),
+        "kss_older/SensorInterface/mbcacq.rsi.diagram": _read("rsi3/mbcacq.rsi.diagram"),
+        "kss_older/Program/mbcacq_rsi.src": programs["rsi3"],
+        "iiqka/Ethernet configuration/mbcacq_ethernet.xml": outputs.in_ethernet(ethernet, numbers),
         "iiqka/Context/mbcacq.rsix": outputs.in_context(_read("rsi_iiqka/mbcacq.rsix"), numbers),
         "iiqka/Program/mbcacq_rsi.src": outputs.in_program(_read("rsi_iiqka/mbcacq_rsi.src"), numbers, "RSI_PROCESS_ON("),
         "iiqka/Program/mbcacq_rsi.dat": _fill_data(_read("rsi_iiqka/mbcacq_rsi.dat"), limits),
@@ -122,14 +121,14 @@ def _for_iiqka(program: str) -> str:
 
 
 def _ethernet(options: RsiOptions) -> str:
-    """The ETHERNET configuration of all RSI generations."""
+    """The ETHERNET configuration of all RSI generations, without outputs."""
     text = _replace(_read("mbcacq_ethernet.xml"), "<IP_NUMBER>", _address("bind", options.bind), "</IP_NUMBER>")
     text = _replace(_replace(text, "<PORT>", options.port, "</PORT>"), "<SENTYPE>", options.sen_type, "</SENTYPE>")
     text = text.replace('TAG="AK.', f'TAG="{options.correction}.').replace('TAG="Stop"', f'TAG="{options.stop_element}"')
     delay = '         <ELEMENT TAG="DEF_Delay"'
     external = "".join(f'         <ELEMENT TAG="{tag}" TYPE="DOUBLE" INDX="INTERNAL"/>\n' for tag in ("DEF_EIPos", "DEF_MECur"))
     text = text.replace(delay, external + delay) if options.external_axes else text
-    return outputs.in_ethernet(text, options.digital_outputs)
+    return text
 
 
 def _warn_of_loopback(option: str, address: str, what: str) -> list[str]:

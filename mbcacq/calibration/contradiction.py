@@ -62,8 +62,8 @@ class Contradiction(AsJson):
     cause: str = ""
     misdescribed: bool = False
 
-    def sentence(self, cell: Cell) -> str:
-        """The contradiction with its size, and its cause where that is known."""
+    def beyond(self, cell: Cell) -> list[str]:
+        """What is beyond what a cell may have, in words."""
         said = []
         if self.scanner > MOST_SCANNER * _doubt(cell.noise_mm):
             said.append(f"{self.scanner:.1f} times the scanner's {'stated' if cell.noise_mm is not None else 'usual'} noise")
@@ -73,9 +73,13 @@ class Contradiction(AsJson):
             said.append(f"{self.link:.1f} times the link errors that arms have")
         if self.rejected > MOST_REJECTED:
             said.append(f"{self.rejected:.0%} of the centres rejected")
-        if not said:
+        return said
+
+    def sentence(self, cell: Cell) -> str:
+        """The contradiction with its size, and its cause where that is known."""
+        what = " and ".join(self.beyond(cell))
+        if not what:
             return f"Something changed while the recording was made: {self.cause}"
-        what = " and ".join(said)
         why = self.cause or "something is not as described, or not in the model: look at the recording before its result is used"
         return f"The recording contradicts its description ({what}): {why}"
 
@@ -116,7 +120,7 @@ def contradiction(adjustment: Adjustment) -> Contradiction | None:
     link = link_ratio(solution, lineariser.layout)
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
     strict = solve(solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
-    if _beyond(found, lineariser.obs.cell):
+    if found.beyond(lineariser.obs.cell):
         described = misdescribed(lineariser.obs) or wrong_length(lineariser.obs)
         return replace(found, cause=described or fault_of(strict), misdescribed=bool(described))
     fault = fault_of(strict, known=rejected_poses(adjustment))
@@ -181,12 +185,3 @@ def link_ratio(solution: Solution, layout: ParameterLayout) -> float:
         if determined > 0.5:
             found.append(float(np.sqrt(np.sum((value / sigma) ** 2) / determined)))
     return max(found)
-
-
-def _beyond(found: Contradiction, cell: Cell) -> bool:
-    return (
-        found.scanner > MOST_SCANNER * _doubt(cell.noise_mm)
-        or found.joint > _joint_limit(cell)
-        or found.link > MOST_LINK
-        or found.rejected > MOST_REJECTED
-    )

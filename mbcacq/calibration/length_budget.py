@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import computed_field
@@ -29,7 +29,8 @@ class Temperature:
     """The temperature of an artefact while it was measured, and its uncertainty.
 
     low_C, high_C: range; sensor_C: standard uncertainty of reading it there; source: 'measured', 'stated' or 'assumed'; what: the sensor
-    or where the range comes from, in words.
+    or where the range comes from, in words; reference_C: temperature of the certificate; expansion_ppm_per_K: 1e-6/K, which is assumed
+    where the artefact's file does not state it.
     """
 
     low_C: float
@@ -37,46 +38,39 @@ class Temperature:
     sensor_C: float
     source: str
     what: str
+    reference_C: float
+    expansion_ppm_per_K: float
+    expansion_stated: bool
 
-    def deviation_K(self, reference_C: float) -> float:
+    @property
+    def deviation_K(self) -> float:
         """Root mean square distance from the reference temperature, anything within the range being as likely: an offset that is not
         corrected counts in full (GUM, F.2.4.5)."""
-        middle = 0.5 * (self.low_C + self.high_C) - reference_C
+        middle = 0.5 * (self.low_C + self.high_C) - self.reference_C
         return float(np.sqrt(middle**2 + (self.high_C - self.low_C) ** 2 / 12 + self.sensor_C**2))
+
+    def thermal_mm(self, length_mm: float) -> float:
+        """Standard uncertainty (mm) of a certified length by the temperature of its artefact."""
+        return 1e-6 * abs(self.expansion_ppm_per_K) * length_mm * self.deviation_K
 
 
 @dataclass(frozen=True)
 class LengthBudget:
-    """Standard uncertainties (mm) of judging one length of length_mm."""
+    """Standard uncertainties (mm) of judging one length of length_mm at a station, and what is known of the temperature there."""
 
     length_mm: float
     certificate_mm: float
     temperature_mm: float
     probing_mm: float
     repeatability_mm: float
+    station: str
+    temperature: Temperature
 
     @computed_field
     @property
     def combined_mm(self) -> float:
         terms = self.certificate_mm, self.temperature_mm, self.probing_mm, self.repeatability_mm
         return float(np.sqrt(np.sum(np.square(terms))))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ArtefactTemperature(Temperature):
-    """With that of the certificate, and the expansion (1e-6/K), which is assumed where the artefact's file does not state it."""
-
-    reference_C: float
-    expansion_ppm_per_K: float
-    expansion_stated: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class LargestBudget(LengthBudget):
-    """The budget of the station where the combined uncertainty is largest, and what is known of the temperature there."""
-
-    station: str
-    temperature: ArtefactTemperature
 
 
 def artefact_temperature(obs: Observations, artefact: Artefact) -> Temperature:
@@ -88,34 +82,25 @@ def artefact_temperature(obs: Observations, artefact: Artefact) -> Temperature:
     """
     columns = {name: values[np.isfinite(values)] for name, values in obs.temperatures.items()}
     columns = {name: values for name, values in columns.items() if len(values)}
+
+    def known(low_C: float, high_C: float, sensor_C: float, source: str, what: str) -> Temperature:
+        ppm = artefact.expansion_ppm_per_K
+        certified = float(artefact.reference_temperature_C), STEEL_PPM_PER_K if ppm is None else ppm, ppm is not None
+        return Temperature(float(low_C), float(high_C), sensor_C, source, what, *certified)
+
     for name, values in columns.items():
         words = name.lower().removesuffix("_c").split("_")
         if artefact.id.lower() in words or words[0] == "artefact":
-            return Temperature(float(values.min()), float(values.max()), THERMOMETER_C, "measured", name)
+            return known(values.min(), values.max(), THERMOMETER_C, "measured", name)
     for name, values in columns.items():
         if set(name.lower().split("_")) & set(ROOM_NAMES):
-            return Temperature(float(values.min()), float(values.max()), AIR_C, "measured", name)
+            return known(values.min(), values.max(), AIR_C, "measured", name)
     if obs.cell.room_temperature_C is not None:
-        return Temperature(*obs.cell.room_temperature_C, 0.0, "stated", "room_temperature_C")
-    return Temperature(*ASSUMED_ROOM_C, 0.0, "assumed", "no temperature was measured or stated")
+        return known(*obs.cell.room_temperature_C, 0.0, "stated", "room_temperature_C")
+    return known(*ASSUMED_ROOM_C, 0.0, "assumed", "no temperature was measured or stated")
 
 
-def thermal_mm(artefact: Artefact, length_mm: float, temperature: Temperature) -> float:
-    """Standard uncertainty (mm) of a certified length by the temperature of its artefact."""
-    ppm = STEEL_PPM_PER_K if artefact.expansion_ppm_per_K is None else artefact.expansion_ppm_per_K
-    return 1e-6 * abs(ppm) * length_mm * temperature.deviation_K(artefact.reference_temperature_C)
-
-
-class EndVariance(NamedTuple):
-    """How well one end of a length is measured: variances (mm^2), along the length, of one measurement by the scanner and by the joints,
-    and the number of poses averaged over."""
-
-    scanner: float
-    joints: float
-    poses: float
-
-
-def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends: Sequence[EndVariance] = ()) -> LengthBudget:
+def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends: Sequence[tuple[float, float, float]] = ()) -> LengthBudget:
     """The budget of the length between two balls of a station.
 
     Parameters
@@ -127,19 +112,23 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
     balls
         Ids of the two balls.
     ends
-        For each ball; without them probing and repeatability are not known and count as zero.
+        For each ball the variances (mm^2), along the length, of one measurement by the scanner and by the joints, and the number of poses
+        averaged over; without them probing and repeatability are not known and count as zero.
     """
     artefact = obs.cell.artefact(obs.cell.stations[station].artefact)
     a, b = (artefact.centres[artefact.ball_ids.index(ball)] for ball in balls)
     length = float(np.linalg.norm(a - b))
-    probing = sum(end.scanner / end.poses for end in ends)
-    repeatability = sum(repeated_variance(obs, end.joints) / end.poses for end in ends)
+    probing = sum(seen / poses for seen, _, poses in ends)
+    repeatability = sum(repeated_variance(obs, moved) / poses for _, moved, poses in ends)
+    temperature = artefact_temperature(obs, artefact)
     return LengthBudget(
         length,
         float(np.sqrt(2) * artefact.uncertainty_mm),
-        thermal_mm(artefact, length, artefact_temperature(obs, artefact)),
+        temperature.thermal_mm(length),
         float(np.sqrt(probing)),
         float(np.sqrt(repeatability)),
+        obs.cell.stations[station].id,
+        temperature,
     )
 
 
@@ -151,20 +140,6 @@ def repeated_variance(obs: Observations, found_mm2: float) -> float:
         return found_mm2
     stated = (obs.cell.robot.repeatability_mm / DATA_SHEET_SIGMAS) ** 2
     return min(found_mm2, stated) if found_mm2 > 0 else stated
-
-
-def largest_budget(obs: Observations, stations: Sequence[int], budgets: Sequence[LengthBudget]) -> LargestBudget:
-    """The largest of the budgets of lengths at these stations."""
-    at = int(np.argmax([b.combined_mm for b in budgets]))
-    artefact = obs.cell.artefact(obs.cell.stations[stations[at]].artefact)
-    expansion = artefact.expansion_ppm_per_K
-    temperature = ArtefactTemperature(
-        **vars(artefact_temperature(obs, artefact)),
-        reference_C=float(artefact.reference_temperature_C),
-        expansion_ppm_per_K=STEEL_PPM_PER_K if expansion is None else expansion,
-        expansion_stated=expansion is not None,
-    )
-    return LargestBudget(**vars(budgets[at]), station=obs.cell.stations[stations[at]].id, temperature=temperature)
 
 
 def temperature_sentence(budget: Mapping[str, Any]) -> str:

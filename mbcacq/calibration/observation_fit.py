@@ -193,6 +193,7 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())
+    solution.forget()  # the whitened residual of a long recording takes as much memory as what it no longer needs
     fit = ObservationFit(
         observations=obs,
         options=options,

@@ -104,6 +104,12 @@ class ProfilesInMotion:
     velocity: np.ndarray
     passing: np.ndarray
 
+    def moved(self, step: np.ndarray) -> ProfilesInMotion:
+        """With hand-eye transform, clock and spheres changed by a step (8 + 3 K,) of the parameters, in the order of ``covariance``."""
+        T = se3.transform(self.T_hand_eye[:3, :3] @ se3.rotation_exp(step[3:6]), self.T_hand_eye[:3, 3] + step[:3])
+        clock = replace(self.clock, delay_s=self.clock.delay_s + float(step[6]), drift=self.clock.drift + float(step[7]))
+        return replace(self, T_hand_eye=T, clock=clock, spheres=self.spheres + step[8:].reshape(-1, 3))
+
 
 def adjust_in_motion(
     motion: FlangeMotion, seen: SeenSections, start: ProfilesInMotion, delay_prior: tuple[float, float] | None = None
@@ -113,8 +119,7 @@ def adjust_in_motion(
     delay_prior: delay and its standard deviation in s, as a wire between both devices gives them. Raises ConfigError where the sweeps leave
     a parameter undetermined.
     """
-    at = _Point(start.T_hand_eye, start.spheres, start.clock)
-    K = len(start.spheres)
+    at, K = start, len(start.spheres)
     prior = np.zeros(8 + 3 * K)
     prior[7] = DRIFT_SIGMA**-2
     aim = start.clock.delay_s
@@ -151,9 +156,8 @@ def adjust_in_motion(
         )
     _, _, passing, s, velocity, known, _ = _linearised(motion, seen, at)
     clock = replace(at.clock, covariance=A[6:8, 6:8], jitter_s=float(np.sqrt(sizes[0])))
-    return ProfilesInMotion(
-        T_hand_eye=at.T,
-        spheres=at.spheres,
+    return replace(
+        at,
         clock=clock,
         covariance=A,
         pose_sigma_mm=float(np.sqrt(sizes[1])),
@@ -183,7 +187,7 @@ def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion,
     The sphere moves in the scanner as the arm does, so all circles of a stretch say one place at its middle. What the hand-eye transform
     may still be off by cancels in it.
     """
-    rows, _, passing, s, _, known, by_place = _linearised(motion, seen, _Point(found.T_hand_eye, found.spheres, found.clock))
+    rows, _, passing, s, _, known, by_place = _linearised(motion, seen, found)
     V, _ = _covariances(seen, passing, by_place, np.array([found.clock.jitter_s**2, found.pose_sigma_mm**2]))
     W = np.linalg.inv(V)
     used, time, xyz, covariance, first = found.used & known, [], [], [], []
@@ -256,27 +260,15 @@ def _delays(motion: FlangeMotion, t: np.ndarray) -> np.ndarray:
     return near[np.unique(np.linspace(0, len(near) - 1, min(len(near), MOST_TRIED)).round().astype(int))]
 
 
-@dataclass(frozen=True)
-class _Point:
-    T: np.ndarray
-    spheres: np.ndarray
-    clock: SensorClock
-
-    def moved(self, step: np.ndarray) -> _Point:
-        T = se3.transform(self.T[:3, :3] @ se3.rotation_exp(step[3:6]), self.T[:3, 3] + step[:3])
-        clock = replace(self.clock, delay_s=self.clock.delay_s + float(step[6]), drift=self.clock.drift + float(step[7]))
-        return _Point(T, self.spheres + step[8:].reshape(-1, 3), clock)
-
-
-def _linearised(motion: FlangeMotion, seen: SeenSections, at: _Point) -> tuple[np.ndarray, ...]:
+def _linearised(motion: FlangeMotion, seen: SeenSections, at: ProfilesInMotion) -> tuple[np.ndarray, ...]:
     """Rows (P, 3) that circles miss their sphere by, their derivatives (P, 3, 8 + 3 K), velocity (P, 3) and place (P, 3) of the sphere in
     the scanner, velocity of the flange (P, 6), whether its pose is known (P,), and the rows by the place of the sphere (P, 3, 3)."""
     t = at.clock.controller_time(seen.time_s)
     hand, velocity = motion.at(t)
     own = at.spheres[seen.sphere]
-    rows, by_place, s, J9 = section_rows(hand, seen.circles, seen.radius, at.T, own)
+    rows, by_place, s, J9 = section_rows(hand, seen.circles, seen.radius, at.T_hand_eye, own)
     in_hand = se3.apply(se3.inverse(hand), own)
-    passing = -(velocity[:, :3] + se3.cross(velocity[:, 3:], in_hand)) @ at.T[:3, :3]
+    passing = -(velocity[:, :3] + se3.cross(velocity[:, 3:], in_hand)) @ at.T_hand_eye[:3, :3]
     J = np.zeros((len(t), 3, 8 + 3 * len(at.spheres)))
     J[:, :, :6] = J9[:, :, :6]
     by_time = np.einsum("pij,pj->pi", by_place, passing)

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import computed_field
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.length_budget import LargestBudget, LengthBudget, largest_budget
+from mbcacq.calibration.length_budget import LengthBudget
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
@@ -110,7 +110,7 @@ class Verification(EveryKey):
     independent: bool | None = True
     figures: tuple[JudgedFigure, ...] = ()
     common_mm: float | None = None
-    budget: LargestBudget | None = None
+    budget: LengthBudget | None = None
 
     def errors(self, which: str) -> np.ndarray:
         """Signed errors of all places.
@@ -255,8 +255,8 @@ def verification_of(
         )
         for i, p in enumerate(pairs)
     )
-    budget = largest_budget(obs, [p.station for p in pairs], budgets) if pairs else None
-    return Verification(places=places, limit_mm=limit_mm, budget=budget)
+    largest = max(budgets, key=lambda b: b.combined_mm, default=None)
+    return Verification(places=places, limit_mm=limit_mm, budget=largest)
 
 
 def verification_poses(obs: Observations) -> Observations:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration import verification
 from mbcacq.calibration.cell_estimate import CellEstimate, measuring_terms
-from mbcacq.calibration.length_budget import EndVariance, length_budget
+from mbcacq.calibration.length_budget import length_budget
 from mbcacq.calibration.verification import Verification
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.observations import Observations
@@ -42,10 +42,7 @@ def verified_lengths(cell: CellEstimate, before: CellState, observations: Observ
     ends = [_end_variance(cell, u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
     measuring = sum((seen + moved) / count for seen, moved, count in ends)
     expected = np.sqrt(np.sum(row**2, axis=1) + measuring)
-    budgets = [
-        length_budget(obs, p.station, p.balls, [EndVariance(*(float(value[i]) for value in end)) for end in ends])
-        for i, p in enumerate(pairs)
-    ]
+    budgets = [length_budget(obs, p.station, p.balls, [(s[i], m[i], n[i]) for s, m, n in ends]) for i, p in enumerate(pairs)]
     common = float(np.linalg.norm(row.mean(axis=0))) if len(pairs) > 1 else None
     found = verification.verification_of(obs, pairs, budgets, limit_mm, expected.tolist())
     return replace(found, common_mm=common)

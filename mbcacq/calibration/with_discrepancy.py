@@ -42,6 +42,9 @@ EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the mode
 Kind = Callable[[Covariates], list[EffectTerm]]
 FURTHER: tuple[Kind, ...] = (discrepancy.structure, discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
 CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
+FASTEST_MESH, MOST_MESHES = 330.0, 6  # periods a turn of a joint: twice in each turn of a strain wave of a ratio of 160
+ALIAS = 0.9  # of the window: orders so far apart look alike at the angles of a grid, and the slower one is no mesh
+LEAST_GAIN_OF_MESH = 14.0  # as LEAST_GAIN, for the best of ten thousand orders of all joints
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
@@ -72,6 +75,7 @@ def with_discrepancy(alone: Adjustment) -> CalibratedCell | None:
     if obs.n_poses <= discrepancy.OPTIONS.wander_poses and serial_correlation(alone, here.order) > CORRELATED:
         # Where the poses follow a grid, posture and order say much the same.
         best = _more_probable(best, _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here))
+    best = _with_meshes(best, here)
     if not best.terms:
         return None
     learnt = LearntRecording.of(obs)
@@ -130,6 +134,48 @@ def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: 
             settled = settled.supported(best.start).settled(settled.noise)
         best = _more_probable(best, settled, least)
     return best
+
+
+def _with_meshes(best: _Groups, here: Covariates) -> _Groups:
+    """The groups with single orders of meshes, one after the other. Thousands of orders are no smooth function: a candidate is the one that
+    a joint's errors follow best, as the groups leave them. Those of a joint are looked for once more where the others' are in place."""
+    for _ in range(MOST_MESHES):
+        more = _with_mesh(best, here)
+        if more.evidence < best.evidence + LEAST_GAIN_OF_MESH:
+            break
+        best = more
+    for at in sorted({t.where for t in best.terms if discrepancy.ORDER in t.hyper}):
+        own = [t.key for t in best.terms if t.where == at and discrepancy.ORDER in t.hyper]
+        best = _more_probable(best, _with_mesh(best.without(own), here), 0.0)
+    return best
+
+
+def _with_mesh(groups: _Groups, here: Covariates) -> _Groups:
+    """The groups with the strongest order, if it has more power than any of noise alone."""
+    power, joint, order = _strongest_order(groups)
+    tried = _Groups.first(groups, [discrepancy.mesh(here, joint, order)], here) if power > LEAST_GAIN_OF_MESH else None
+    return groups if tried is None else tried.settled(groups.noise)
+
+
+def _strongest_order(groups: _Groups) -> tuple[float, int, float]:
+    """The order above those of wheels that a joint's errors follow best, as the groups leave them: its power in the periodogram (1 in the
+    mean of noise, Scargle 1982), the joint, and the order."""
+    problem, noise = groups.problem, groups.noise
+    left = groups.extended.at(noise).after_fit().poses.by_pose(lambda of: of.residual_joint)
+    error, q = problem.rows.per_pose(left) * noise.joint, problem.obs.q
+    found = 0.0, 0, 0.0
+    for j in range(q.shape[1]):
+        step = np.pi / 2 / max(float(np.ptp(q[:, j])), np.pi / 2)  # a quarter of the distance of orders that can be told apart
+        shifts = np.arange(8 * step, 2 * FASTEST_MESH, step)
+        alike = shifts[np.abs(np.exp(1j * np.outer(shifts, q[:, j])).mean(axis=1)) > ALIAS]
+        orders = np.arange(discrepancy.OPTIONS.fastest + 1.0, min(alike.min(initial=np.inf) / 2, FASTEST_MESH), step)
+        power, best = np.zeros(1), 0.0
+        for _ in range(2 if len(orders) else 0):
+            power = np.abs(np.exp(1j * np.outer(orders, q[:, j])) @ error[:, j]) ** 2 / max(float(error[:, j] @ error[:, j]), 1e-300)
+            best = float(orders[power.argmax()])
+            orders = np.linspace(best - step, best + step, 33)
+        found = max(found, (float(power.max()), j, best))
+    return found
 
 
 def wander_of(terms: Sequence[EffectTerm], joints: int) -> np.ndarray | None:

@@ -191,7 +191,11 @@ def _repeatability(result: dict[str, Any]) -> str:
     if of_flange_poses(result):  # displacements in mm, then rotations in rad
         places, turns = (listed([scale * s for s in part]) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
         return f"; poses of the flange are off by {places} µm and {turns} µrad along and about x, y, z of the base"
-    text = f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
+    slides = set(result["robot"].get("sliding", ()))
+    turning = listed([1e6 * s for i, s in enumerate(found) if i not in slides])
+    text = f"; joints repeat within {turning} µrad"
+    if slides:
+        text += f", those that slide within {listed([1e3 * found[i] for i in sorted(slides)])} µm"
     wander = result.get("discrepancy", {}).get("wander_rad")
     return f"{text} about errors that poses after one another share ({listed([1e6 * s for s in wander])} µrad)" if wander else text
 

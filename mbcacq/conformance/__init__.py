@@ -24,7 +24,6 @@ from mbcacq.conformance.proxy_pty import PtyProxy
 from mbcacq.conformance.proxy_udp import UdpProxy
 from mbcacq.conformance.run import CheckResult, check, run
 from mbcacq.conformance.steps import Skip
-from mbcacq.conformance.trace import Replay, Trace
 
 __all__ = [
     "ACTIONS",
@@ -36,12 +35,10 @@ __all__ = [
     "Hang",
     "Proxy",
     "PtyProxy",
-    "Replay",
     "CheckResult",
     "Skip",
     "Stand",
     "TcpProxy",
-    "Trace",
     "UdpProxy",
     "InjectionVerdict",
     "as_read",

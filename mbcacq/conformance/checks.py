@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Any
 
+from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.events import Event, FactChanged, Message
+from mbcacq.acquisition.fact_watch import FactWatch
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
 from mbcacq.conformance.driver_bench import DriverBench, Stand
 from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works, works_anew
-from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
+from mbcacq.devices import Aborted, ConfigError, ConnectError, Fact, IdentityError
 
 Check = Callable[[DriverBench, Stand], None]
 
@@ -158,20 +162,33 @@ def a_changed_fact_is_seen(bench: DriverBench, stand: Stand) -> None:
     bounded("use", lambda: stand.use(driver), bench.limit_s)
     first = {fact.name: fact for fact in facts()}
     demand(first.keys() == stand.facts.keys(), f"the driver declares {sorted(first)}, the bench changes {sorted(stand.facts)}")
-    for name, change in stand.facts.items():
-        if change is None:
-            continue
-        change()
-        if bench.kind in ("scanner", "robot"):  # some report with each exposure, or motion
-            bounded("use", lambda: stand.use(driver), bench.limit_s)
-        now = {}
-
-        def seen(name: str = name, now: dict = now) -> bool:
-            now.update({fact.name: fact for fact in facts()})
-            return name in now and now[name].differs(first[name])
-
-        eventually(seen, bench.limit_s, f"'{name}' was changed at the device, and facts() still says {first.get(name)}")
+    for name in stand.facts:
+        _changes(bench, stand, driver, first[name])
     bounded("close", driver.close, bench.limit_s)
+
+
+def _changes(bench: DriverBench, stand: Stand, driver: Any, first: Fact) -> None:
+    """One fact is changed at the device, in the middle of a pose of one run, and between two poses of another."""
+    seen: list[Event] = []
+    run, other = (FactWatch({bench.kind: driver}, EventBus([seen.append])) for _ in range(2))
+    for watch in (run, other):
+        watch.look()
+    run.mark()
+    stand.facts[first.name]()
+    if bench.kind in ("scanner", "robot"):  # some report with each exposure, or motion
+        bounded("use", lambda: stand.use(driver), bench.limit_s)
+    eventually(lambda: bool(run.look() or seen), bench.limit_s, f"'{first.name}' was changed, and facts() is {driver.facts()}")
+    before, now = first.text, run.values[f"{bench.kind} {first.name}"]
+    texts = [event.text for event in seen if isinstance(event, Message)]
+    demand(any(before in text and now in text for text in texts), f"no text names '{before}' and '{now}' of '{first.name}': {texts}")
+    recorded = [(event.name, event.before, event.now) for event in seen if isinstance(event, FactChanged)]
+    demand((first.name, before, now) in recorded, f"the change of '{first.name}' to '{now}' is not in the recording: {recorded}")
+    strange = [run.since_mark()]
+    for watch in (run, other):
+        watch.mark()
+        strange.append(watch.since_mark())
+    wrong = [text for text in strange if (before in text and now in text) != first.critical]
+    demand(not wrong, f"a pose under another '{first.name}' is not kept apart: {wrong}")
 
 
 def closes_after_an_exception(bench: DriverBench, stand: Stand) -> None:

@@ -36,9 +36,9 @@ class Stand:
         computer fails nobody.
     output : tuple[int, Callable[[], bool]] or None
         Number of a digital output that a robot switches under the option digital_outputs, and whether the device itself says that it is on.
-    facts : Mapping[str, Callable[[], None] or None]
-        By the name of each fact of the driver, what changes it at the device while the driver is connected; None where the device tells
-        it only when a connection begins.
+    facts : Mapping[str, Callable[[], object]]
+        By the name of each fact of the driver, what changes it at the device while the driver is connected; it also cuts the connection,
+        where the device tells it only when one begins.
     """
 
     make: Callable[..., Any]
@@ -50,7 +50,7 @@ class Stand:
     short_limits: Mapping[str, Any] = field(default_factory=dict)
     ready: Callable[[], bool] = lambda: True
     output: tuple[int, Callable[[], bool]] | None = None
-    facts: Mapping[str, Callable[[], None] | None] = field(default_factory=dict)
+    facts: Mapping[str, Callable[[], object]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

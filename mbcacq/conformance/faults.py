@@ -69,7 +69,7 @@ def ended(by: bytes) -> Cut:
 
 
 class Channel:
-    """One link's messages of both senders: counted, noted in a trace, and changed by the fault that is set.
+    """One link's messages of both senders: counted, noted as they come, and changed by the fault that is set.
 
     ``pass_on`` gives what is to be done in order: bytes to send, seconds to wait, or CLOSE. ``connection`` is which of the link's
     connections a message came by: what is held to be joined goes to no other one, though several are open while an old one ends.
@@ -95,6 +95,7 @@ class Channel:
 
     def pass_on(self, sender: str, message: bytes, connection: object = None) -> list[object]:
         with self._lock:
+            self._note(self.name, sender, message)
             number = self.count[sender]
             self.count[sender] += 1
             fault, held = self.fault, self._held.pop((sender, connection), b"")
@@ -105,18 +106,12 @@ class Channel:
                     out = self._changed(fault, message)
                 if fault.action == "join" and not held:
                     self._held[sender, connection] = message
-            for piece in out:
-                if isinstance(piece, bytes):
-                    self._note(self.name, sender, piece)
             return out
 
     def flush(self, sender: str, connection: object = None) -> bytes:
         """The bytes that wait for a next message that has not come."""
         with self._lock:
-            held = self._held.pop((sender, connection), b"")
-            if held:
-                self._note(self.name, sender, held)
-            return held
+            return self._held.pop((sender, connection), b"")
 
     def _changed(self, fault: Fault, message: bytes) -> list[object]:
         half = message[: max(1, len(message) // 2)]

@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.design.candidate_views import CandidateView, candidates
 from mbcacq.design.optimal_design import design
 from mbcacq.design.options import DesignOptions
-from mbcacq.design.plan_rewriter import seen_from, view_mapping
+from mbcacq.design.plan_rewriter import flow, look_step, seen_from, step_lines, view_mapping
 from mbcacq.design.station_repair import without_lines
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
@@ -87,7 +87,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
             raise ConfigError(f"{request.out} is the name of a file that the plan itself needs beside it; give another --out")
     head = _head(request, spec, artefact, names)
     progress("looking for places that the arm reaches and the scanner sees")
-    draft = load(request.out, _text(head, _places(spec), artefact.id, _placeholder("c1")))
+    draft = load(request.out, _text(head, _places(spec), artefact.id, [look_step("positions", "position", ["c1"], [{"tilt_deg": 10}])]))
     found = candidates(draft, [s.id for s in draft.cell.stations], 38.0, request.options.seed, DesignOptions(views_per_station=VIEWS_TRIED))
     chosen = _spread(draft, found, request.options.stations + VERIFICATION_VIEWS)
     if len(chosen) < 2:
@@ -233,38 +233,20 @@ def _spread(draft: LoadedPlan, found: list[CandidateView], count: int) -> list[s
     return taken
 
 
-def _placeholder(station: str) -> list[dict[str, Any]]:
-    return [{"name": "positions", "phase": "position", "do": "look", "stations": [station], "views": [{"tilt_deg": 10}]}]
-
-
 def _steps(first: list[CandidateView], stations: list[str], apart: int) -> list[dict[str, Any]]:
     """Orientations at the first station, positions everywhere (to be designed), verification at stations of its own."""
     around = sorted(first, key=lambda v: v.view.azimuth_deg)
     picked = [around[int(k)] for k in np.linspace(0, len(around) - 1, min(ORIENTATION_VIEWS, len(around)))]
-    steps: list[dict[str, Any]] = []
-    if len(picked) >= 3:
-        steps.append(
-            {
-                "name": "orientations",
-                "phase": "orientation",
-                "do": "look",
-                "stations": [stations[0]],
-                "views": [view_mapping(v.view) for v in picked],
-            }
-        )
-    steps.append({"name": "positions", "phase": "position", "do": "look", "stations": stations, "views": [{"tilt_deg": 10}]})
+    around_first = (
+        [look_step("orientations", "orientation", stations[:1], [view_mapping(v.view) for v in picked])] if len(picked) >= 3 else []
+    )
+    positions = look_step("positions", "position", stations, [{"tilt_deg": 10}])
     views = [{"tilt_deg": 12, "azimuth_deg": 180}, {"tilt_deg": 12, "azimuth_deg": 60, "roll_deg": 40}]
-    for k in range(1, apart + 1):
-        steps.append(
-            {"name": f"verification v{k}", "phase": "verification", "do": "look", "stations": [f"v{k}"], "balls": "each", "views": views}
-        )
-    return steps
+    lengths = (look_step(f"verification v{k}", "verification", [f"v{k}"], views, "each") for k in range(1, apart + 1))
+    return [*around_first, positions, *lengths]
 
 
 def _text(head: dict[str, Any], places: list[dict[str, Any]], artefact: str, steps: list[dict[str, Any]]) -> str:
-    def flow(value: Any) -> str:
-        return yaml12.dump(value, default_flow_style=True, width=1000, allow_unicode=True).strip()
-
     lines = [
         "# Made by `mbcacq plan new`. Lengths mm, angles deg, in the arm's base frame. What differs in your cell is yours to change:",
         "# driver and options of the robot, hand_eye (a drawing is good enough), obstacles, workspace; then `mbcacq plan check`.",
@@ -273,13 +255,8 @@ def _text(head: dict[str, Any], places: list[dict[str, Any]], artefact: str, ste
         *(f"  - {flow({'id': p['id'], 'artefact': artefact, 'pose_in_base': p['pose_in_base']})}" for p in places),
         "exposures: 3",
         "steps:",
+        *(f"  {line}" for step in steps for line in step_lines(step)),
     ]
-    for step in steps:
-        lines += [
-            f"  - name: {step['name']}",
-            *(f"    {k}: {flow(v).removesuffix('...').strip()}" for k, v in step.items() if k not in ("name", "views")),
-        ]
-        lines += ["    views:", *(f"      - {flow(v)}" for v in step["views"])]
     return "\n".join(lines) + "\n"
 
 

@@ -57,9 +57,17 @@ def with_steps(loaded: LoadedPlan, steps: list[dict[str, Any]], phase: str) -> s
 
 
 def position_step(name: str, station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
-    """A step that looks at a station, or at one ball there, from these views."""
-    name, which = (name, {}) if aim is None else (f"{name} ball {aim}", {"balls": [aim]})
-    return {"name": name, "phase": "position", "do": "look", "stations": [_id(station)], **which, "views": [view_mapping(v) for v in views]}
+    """A step of views at a station, of one ball or of all (None)."""
+    name, balls = (name, None) if aim is None else (f"{name} ball {aim}", [aim])
+    return look_step(name, "position", [_id(station)], [view_mapping(v) for v in views], balls)
+
+
+def look_step(
+    name: str, phase: str, stations: Sequence[str | int], views: list[dict[str, Any]], balls: list[int] | str | None = None
+) -> dict[str, Any]:
+    """A step ``do: look``, its keys in the order in which a plan has them."""
+    which = {} if balls is None else {"balls": balls}
+    return {"name": name, "phase": phase, "do": "look", "stations": list(stations), **which, "views": views}
 
 
 def _id(station: str) -> str | int:
@@ -99,7 +107,7 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]], phase: str) -> str
     bounds = [*starts, after[0] if after else len(lines)]
     old = [i for i, s in enumerate(plan.steps) if s.phase == phase]
     new = [f"{indent}# Chosen by `mbcacq plan design`, of many views that can be taken, {PURPOSE[phase]}."]
-    new += [indent + line if line else line for step in steps for line in [*_lines(step), ""]]
+    new += [indent + line if line else line for step in steps for line in [*step_lines(step), ""]]
     out = lines[: starts[0]]
     for i in range(len(plan.steps)):
         if i in old:
@@ -124,12 +132,14 @@ def _trailing_comment(lines: list[str]) -> int:
     return count
 
 
-def _lines(step: dict[str, Any]) -> list[str]:
-    head = [f"- name: {_flow(step['name'])}", f"  phase: {step['phase']}", f"  do: {step['do']}"]
-    head += [f"  {key}: {_flow(step[key])}" for key in ("stations", "balls", "exposures") if key in step]
-    return [*head, "  views:", *(f"    - {_flow(view)}" for view in step["views"])]
+def step_lines(step: dict[str, Any]) -> list[str]:
+    """A step ``do: look`` as lines of a plan, a view a line."""
+    head = [f"- name: {flow(step['name'])}", f"  phase: {step['phase']}", f"  do: {step['do']}"]
+    head += [f"  {key}: {flow(step[key])}" for key in ("stations", "balls", "exposures") if key in step]
+    return [*head, "  views:", *(f"    - {flow(view)}" for view in step["views"])]
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
+    """A value on one line of YAML."""
     text = yaml12.dump(value, default_flow_style=True, width=1000, allow_unicode=True)
     return text.strip().removesuffix("...").strip()

@@ -57,7 +57,7 @@ class Fact:
         """Whether the value is another one than that of ``other``."""
         if isinstance(self.value, str) or isinstance(other.value, str):
             return self.value != other.value
-        return abs(self.value - other.value) > self.tolerance
+        return self.text != other.text and not abs(self.value - other.value) <= self.tolerance
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,6 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
     A joint is compared with a pattern that has grown only where it promised more than the best of those that were: what it lacks then it
     is compared with before none is left.
     """
-    comparisons = _Comparisons(errors)
     found = {anchor: JointAlignment(0.0, 1, 0.0, 1.0)}
     promised = {j: np.inf for j in errors.index if j != anchor}
     compared: dict[int, JointAlignment] = {}
@@ -107,14 +106,14 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
             del promised[best]
             compared = {}
         elif first is not None:
-            compared[first] = comparisons.best_alignment(found, first)
+            compared[first] = best_alignment(errors, found, first)
             promised[first] = compared[first].log_bayes_factor
         else:
             break
-    return _aligned_anew(comparisons, found, anchor) if len(found) >= LEAST_JOINTS else found
+    return _aligned_anew(errors, found, anchor) if len(found) >= LEAST_JOINTS else found
 
 
-def _aligned_anew(comparisons: _Comparisons, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
+def _aligned_anew(errors: OwnErrors, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
     """The joints that follow the pattern, each compared with that of all others, until none changes.
 
     A joint that was added early was compared with a pattern that few joints had shown, at few angles. Its offset may be another one where
@@ -123,9 +122,9 @@ def _aligned_anew(comparisons: _Comparisons, found: Mapping[int, JointAlignment]
     found = dict(found)
     for _ in range(ROUNDS):
         before = {j: (a.offset, a.direction) for j, a in found.items()}
-        for j in [j for j in comparisons.errors.index if j != anchor]:
+        for j in [j for j in errors.index if j != anchor]:
             found.pop(j, None)
-            anew = comparisons.best_alignment(found, j)
+            anew = best_alignment(errors, found, j)
             if _follows(anew, len(found)):
                 found[j] = anew
         if {j: (a.offset, a.direction) for j, a in found.items()} == before:
@@ -138,21 +137,6 @@ def _follows(alignment: JointAlignment, joints: int) -> bool:
     # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
     least = LEAST_LOG_BAYES_FACTOR if joints < LEAST_JOINTS else -np.log(joints + 1.0)
     return bool(alignment.log_bayes_factor > least and alignment.certain > LEAST_CERTAIN)
-
-
-class _Comparisons:
-    """Comparisons of joints with the pattern of others, each made once."""
-
-    def __init__(self, errors: OwnErrors):
-        self.errors = errors
-        self._known: dict[tuple, JointAlignment] = {}
-
-    def best_alignment(self, found: Mapping[int, JointAlignment], joint: int) -> JointAlignment:
-        """The most probable offset and direction of a joint under the pattern of the joints found."""
-        key = joint, *sorted((i, a.offset, a.direction) for i, a in found.items())
-        if key not in self._known:
-            self._known[key] = best_alignment(self.errors, found, joint)
-        return self._known[key]
 
 
 def _total(errors: OwnErrors, found: Mapping[int, JointAlignment]) -> float:
@@ -208,7 +192,7 @@ class PatternComparison:
         own = J.copy()
         own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
         size = np.concatenate([errors.pattern, errors.sigma[joint]])
-        separate = log_evidence(_bordered(size[:, None] * own * size, size * h)[None])[0]
+        separate = log_evidence((size[:, None] * own * size)[None], (size * h)[None])[0]
         # The prior of the deviation is the same for sine and cosine, and does not turn with them: it is integrated out for all offsets.
         # That of the pattern is so too, and its size can be a unit of both.
         size = np.tile(errors.pattern, 2)
@@ -221,83 +205,43 @@ class PatternComparison:
 
     def log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
         """(G,) logarithm of the Bayes factor of following the pattern at each offset (G,) rad, against an error of its own."""
-        turned = _TurnedPattern(self, direction)
-        some = np.array_split(offsets, -(-len(offsets) // AT_ONCE))
-        return np.concatenate([log_evidence(turned.bordered(each)) for each in some]) + self.constant
+        logs = []
+        for some in np.array_split(offsets, -(-len(offsets) // AT_ONCE)):
+            across, right = turned(self.B, some, direction), turned(self.hv[None], some, direction)[:, 0]
+            own = turned(np.swapaxes(turned(self.C, some, direction), 1, 2), some, direction)
+            logs.append(log_evidence(self.A + across + np.swapaxes(across, 1, 2) + own, self.hp + right))
+        return np.concatenate(logs) + self.constant
 
 
-class _TurnedPattern:
-    """The normal equations of the pattern, the joint following it at an offset.
+def turned(rows: np.ndarray, offsets: np.ndarray, direction: int) -> np.ndarray:
+    """(G, r, 2 K): rows (r, 2 K), or (G, r, 2 K), of a joint's sines and cosines as rows of those of the pattern, at offsets (G,) rad."""
+    K = rows.shape[-1] // 2
+    phase = np.arange(1, K + 1) * offsets[:, None, None]
+    c, s, sine, cosine = np.cos(phase), np.sin(phase), rows[..., :K], direction * rows[..., K:]
+    return np.concatenate([sine * c - cosine * s, sine * s + cosine * c], axis=-1)
 
-    A sine and a cosine of an order are one complex coefficient x + i y, which an offset multiplies by exp(-i k offset). A bilinear form of
-    two of them is the real part of p^H P q + p^T Q q, P Hermitian and Q symmetric where the form is.
+
+def log_evidence(information: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(G,) logarithm of the integral over k coefficients, by their normal equations (G, k, k), (G, k) in units of their priors, which are
+    in them.
     """
-
-    def __init__(self, compared: PatternComparison, direction: int):
-        K = len(compared.hp) // 2
-        mirror = np.repeat([1.0, direction], K)  # of the joint's sines and cosines
-        self._A, self._B = _complex_forms(compared.A), _complex_forms(compared.B * mirror)
-        self._C = _complex_forms(mirror[:, None] * compared.C * mirror)
-        self._hp, hv = compared.hp, mirror * compared.hv
-        self._hv = hv[:K] + 1j * hv[K:]
-
-    def bordered(self, offsets: np.ndarray) -> np.ndarray:
-        """(G, 2 K + 1, 2 K + 1) of offsets (G,) rad, as ``log_evidence`` takes them."""
-        K, G = len(self._hv), len(offsets)
-        e = np.exp(-1j * np.outer(offsets, np.arange(1, K + 1)))
-        rows, columns = e[:, :, None], e[:, None, :]
-        (AP, AQ), (BP, BQ), (CP, CQ) = self._A, self._B, self._C
-        P: np.ndarray = AP + BP * columns + rows.conj() * (CP * columns + BP.conj().T)
-        Q: np.ndarray = AQ + BQ * columns + rows * (CQ * columns + BQ.T)
-        out = np.empty((G, 2 * K + 1, 2 * K + 1))
-        np.add(np.real(P), np.real(Q), out=out[:, :K, :K])
-        np.subtract(np.imag(P), np.imag(Q), out=out[:, K:-1, :K])
-        np.subtract(np.real(P), np.real(Q), out=out[:, K:-1, K:-1])
-        turned = e.conj() * self._hv
-        out[:, -1, :K], out[:, -1, K:-1] = self._hp[:K] + turned.real, self._hp[K:] + turned.imag
-        out[:, -1, -1] = np.sum(out[:, -1, :-1] ** 2, axis=1) + 1.0
-        return out
-
-
-def _complex_forms(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """P and Q (K, K) of a bilinear form M (2 K, 2 K)."""
-    K = len(M) // 2
-    xx, xy, yx, yy = M[:K, :K], M[:K, K:], M[K:, :K], M[K:, K:]
-    return 0.5 * (xx + yy + 1j * (yx - xy)), 0.5 * (xx - yy - 1j * (xy + yx))
-
-
-def _bordered(information: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(k + 1, k + 1) normal equations of k coefficients in units of their priors, which are in them, the right-hand side as last row.
-
-    The corner is large enough: with the prior in it, the matrix is at least the identity.
-    """
-    return np.block([[information, right[:, None]], [right, right @ right + 1.0]])
-
-
-def log_evidence(bordered: np.ndarray) -> np.ndarray:
-    """(G,) logarithm of the integral over k coefficients; bordered (G, k + 1, k + 1): their normal equations, of which the lower triangle
-    is read.
-    """
-    # The last row of the root of a matrix that is bordered by a right-hand side is the solution of the triangular system.
+    k = right.shape[1]
+    bordered = np.empty((len(right), k + 1, k + 1))
+    # The last row of the root of a matrix that is bordered by a right-hand side is the solution of the triangular system. The corner is
+    # large enough: with the prior in it, the matrix is at least the identity.
+    bordered[:, :k, :k], bordered[:, k, :k], bordered[:, k, k] = information, right, np.sum(right**2, axis=1) + 1.0
     root = np.linalg.cholesky(bordered)
-    return 0.5 * np.sum(root[:, -1, :-1] ** 2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)[:, :-1]).sum(axis=1)
-
-
-def turning(order: np.ndarray, offset: float, direction: int) -> np.ndarray:
-    """(2 K, 2 K) the sines and cosines of a joint from those of the pattern at orders (K,)."""
-    c, s = np.diag(np.cos(order * offset)), np.diag(np.sin(order * offset))
-    return np.block([[c, s], [-direction * s, direction * c]])
+    return 0.5 * np.sum(root[:, k, :k] ** 2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)[:, :k]).sum(axis=1)
 
 
 def _with_pattern(errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal equations with a pattern as further columns, priors included but that of ``joint``; and the columns of pattern and joint."""
     g, k2 = len(errors.right), len(errors.pattern)
-    order = np.arange(1, k2 // 2 + 1)
     P = np.zeros((g, k2))
     weight = np.concatenate([np.zeros(g), errors.pattern**-2.0])
     for i, index in errors.index.items():
         if i in found:
-            P[index] = turning(order, found[i].offset, found[i].direction)
+            P[index] = turned(np.eye(k2), np.array([found[i].offset]), found[i].direction)[0]
         if i != joint:
             weight[index] = (errors.deviation if i in found else errors.sigma[i]) ** -2.0
     SP = errors.information @ P

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import INCIDENCE, SIGHT
 from mbcacq.geometry import gravity, se3
 from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import from_degrees
 
@@ -72,13 +72,10 @@ TILT = "tilt"  # of the artefact against the scanner's axis, by which what depen
 AXIS = ("axis_x", "axis_y", "axis_z")  # of the artefact (its z), in the scanner's axes, where the geometry was fitted
 UNSTATED = (RECORDING, *AXIS)  # no other recording has them
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
-_INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_)([1-9][0-9]*)$")
+_NAME = re.compile(r"^([a-z_]+?)_?([0-9]+)?(?:_(mass|x|y|z))?$")  # kind, number of a joint or frame, component
 LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves behind fades
 FAR = 1e3  # rad of travel, beyond any over which something fades
-_MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
-_DIRECTION = re.compile(r"^gravity_direction_([0-9]+)_([xyz])$")
 _ALONG = re.compile(r"^gravity_along_([0-9]+)_([0-9]+)_([0-9]+)$")
-_PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
 
 
 @dataclass(frozen=True)
@@ -100,6 +97,10 @@ class Covariates:
     def scanner_on_flange(self) -> bool:
         """False for an external instrument that measures a target on the flange."""
         return self.obs.cell.measurement != TARGET_IN_BASE
+
+    def position(self, joint: int) -> str:
+        """The covariate that is a joint's own position: q1 .. an angle (rad), s1 .. of a prismatic joint (mm)."""
+        return f"{'s' if joint in self.obs.cell.robot.chain.sliding else 'q'}{joint + 1}"
 
     @cached_property
     def masses_known(self) -> bool:
@@ -151,7 +152,7 @@ class Covariates:
         robot = self.obs.cell.robot
         mass, com = self.links
         frames = self.nominal_frames
-        weight = gravity.STANDARD_GRAVITY * robot.gravity
+        weight = gravity.STANDARD_GRAVITY * gravity.downward(robot.chain, frames, robot.gravity).reshape(-1, 3)
         load = self.payload_mass if self.masses_known else np.ones(len(frames))
         tool = np.einsum("pij,pj->pi", frames[:, -1, :3, :3], self.payload_com) + frames[:, -1, :3, 3]
         origin = frames[:, frame, :3, 3]
@@ -163,7 +164,10 @@ class Covariates:
 
     def gravity_direction(self, frame: int) -> np.ndarray:
         """(P, 3) direction of gravity in the axes of ``frame`` (0 base .. n flange)."""
-        return np.einsum("pji,j->pi", self.nominal_frames[:, frame, :3, :3], self.obs.cell.robot.gravity)
+        robot, R = self.obs.cell.robot, self.nominal_frames[:, frame, :3, :3]
+        if robot.chain.floor:
+            return np.einsum("pji,pj->pi", R, gravity.downward(robot.chain, self.nominal_frames, robot.gravity)[:, 0])
+        return np.einsum("pji,j->pi", R, robot.gravity)
 
     @cached_property
     def flange_gravity(self) -> np.ndarray:
@@ -279,19 +283,45 @@ class Covariates:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
         return self.computed_once(("value", name), lambda: self._value(name))
 
-    def computed_once(self, key: tuple[str, ...], compute: Callable[[], Any]) -> Any:
-        """What a function returns, computed when first asked for under this key: a hundred groups are functions of one covariate."""
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]
-
     @cached_property
-    def _known(self) -> dict[tuple[str, ...], Any]:
-        return {}
+    def computed_once(self) -> ComputedOnce:
+        """What was computed of the recording: a hundred groups are functions of one covariate."""
+        return ComputedOnce()
 
     def _value(self, name: str) -> np.ndarray:
+        match = _NAME.match(name)
+        kind, number, component = match.groups() if match else ("", None, None)
+        i, c = int(number or 0), "xyz".find(component or "-")
+        found: np.ndarray | None = None
+        if name in self.obs.temperatures:
+            found = np.asarray(self.obs.temperatures[name], dtype=float)
+        elif name in ("x", "y", "z"):
+            found = self.obs.xyz[:, "xyz".index(name)]
+        elif number is None and component is None:
+            found = self._of_pose(kind)
+        elif number is None:
+            found = self._of_axis(kind, c)
+        elif component is None and 1 <= i <= self.n:
+            values = self._of_joints(kind)
+            found = None if values is None else np.nan_to_num(np.asarray(values[:, i - 1], dtype=float))
+        elif kind == "payload_torque" and 1 <= i <= self.n:
+            found = self.payload_torque[:, i - 1, c + 1]
+        elif kind in ("gravity_moment", "gravity_direction") and i <= self.n:
+            found = (self.gravity_moment if kind == "gravity_moment" else self.gravity_direction)(i)[:, c]
+        if (match := _ALONG.match(name)) and int(match[1]) <= self.n:
+            azimuth, elevation = from_degrees([float(match[2]), float(match[3])])
+            along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+            found = self.gravity_direction(int(match[1])) @ along
+        if found is None:
+            raise Missing(f"no {name} recorded")
+        return found
+
+    def _of_pose(self, kind: str) -> np.ndarray | None:
+        """(P,), or (M,) of the balls, of what has neither joint nor axis; None for another name."""
         obs = self.obs
-        plain = {
+        if kind == RECORDING and obs.recording is None:
+            raise Missing("there is one recording only")
+        known: dict[str, Callable[[], np.ndarray]] = {
             "time": lambda: self.time,
             "pose": lambda: self.order.astype(float),
             "station": lambda: obs.station.astype(float),
@@ -300,71 +330,31 @@ class Covariates:
             "visit": lambda: self.visit,
             "ball": lambda: np.array(obs.cell.ball_ids, dtype=float)[obs.ball],
             "payload_kg": lambda: self.payload_mass,
-            RECORDING: lambda: self._recording,
+            RECORDING: lambda: np.asarray(obs.recording, dtype=float),
         }
-        if name in plain:
-            return plain[name]()
-        if name in ("x", "y", "z"):
-            return obs.xyz[:, "xyz".index(name)]
-        if name in obs.temperatures:
-            return np.asarray(obs.temperatures[name], dtype=float)
-        for of_kind in (self._of_joint, self._of_gravity, self._of_direction):
-            found = of_kind(name)
-            if found is not None:
-                return found
-        raise Missing(f"no {name} recorded")
+        return known[kind]() if kind in known else None
 
-    def _of_direction(self, name: str) -> np.ndarray | None:
-        """Components of what an instrument sees an artefact, a target or a point from; None for another name."""
-        if name in INCIDENCE:
-            return self.incidence[:, INCIDENCE.index(name)]
-        if name in SIGHT and not self.scanner_on_flange:
-            return self.sight[:, SIGHT.index(name)]
-        return self.lean[:, LEAN.index(name)] if name in LEAN and self.scanner_on_flange else None
+    def _of_axis(self, kind: str, c: int) -> np.ndarray | None:
+        """A component of the tool's weight, or of what an instrument sees an artefact, a target or a point from; None for another name."""
+        on_flange = self.scanner_on_flange
+        known: dict[str, Callable[[], np.ndarray]] = {"payload_force": lambda: self.payload_force, "incidence": lambda: self.incidence}
+        known |= {"lean": lambda: self.lean} if on_flange else {"sight": lambda: self.sight}
+        return known[kind]()[:, c] if kind in known else None
 
-    @property
-    def _recording(self) -> np.ndarray:
-        if self.obs.recording is None:
-            raise Missing("there is one recording only")
-        return self.obs.recording.astype(float)
-
-    def _of_joint(self, name: str) -> np.ndarray | None:
-        """What is recorded or computed of one joint; None for another name. Raises Missing where it is not recorded."""
-        match = _INDEXED.match(name)
-        if match is None or int(match[2]) > self.n:
-            return None
-        kind, i = match[1], int(match[2]) - 1
-        recorded: dict[str, Callable[[], np.ndarray | None]] = {
+    def _of_joints(self, kind: str) -> np.ndarray | None:
+        """(P, n) of what is recorded or computed of the joints; None where it is not recorded, and for another name."""
+        known: dict[str, Callable[[], np.ndarray | None]] = {
             "q": lambda: self.obs.q,
+            "s": lambda: self.obs.q,
             "qd": lambda: self.obs.velocity,
             "tau": lambda: self.obs.torque,
-            "direction_": lambda: self.obs.direction,
-            "movement_": lambda: self.obs.movement,
-            "travel_": lambda: self.last_motions[0],
-            "travel_direction_": lambda: self.last_motions[1],
-            "gravity_torque_": lambda: self.gravity_torque,
+            "direction": lambda: self.obs.direction,
+            "movement": lambda: self.obs.movement,
+            "travel": lambda: self.last_motions[0],
+            "travel_direction": lambda: self.last_motions[1],
+            "gravity_torque": lambda: self.gravity_torque,
         }
-        values = recorded[kind]()
-        if values is None:
-            raise Missing(f"no {name} recorded")
-        return np.nan_to_num(np.asarray(values[:, i], dtype=float))
-
-    def _of_gravity(self, name: str) -> np.ndarray | None:
-        """Components of weight and moments; None for another name."""
-        if match := _MOMENT.match(name):
-            return self.gravity_moment(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
-        if match := _DIRECTION.match(name):
-            return self.gravity_direction(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
-        if (match := _ALONG.match(name)) and int(match[1]) <= self.n:
-            azimuth, elevation = from_degrees([float(match[2]), float(match[3])])
-            along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-            return self.gravity_direction(int(match[1])) @ along
-        if match := _PAYLOAD_TORQUE.match(name):
-            column = ("mass", "x", "y", "z").index(match[2])
-            return self.payload_torque[:, int(match[1]) - 1, column] if int(match[1]) <= self.n else None
-        if name in ("payload_force_x", "payload_force_y", "payload_force_z"):
-            return self.payload_force[:, "xyz".index(name[-1])]
-        return None
+        return known[kind]() if kind in known else None
 
 
 def rank_in_time(obs: Observations) -> np.ndarray:

@@ -72,6 +72,7 @@ class Adjustment:
     def stated_chi2(self) -> float:
         """Chi square under the noise that scanner and data sheet state, or a guess of their class, with the prior rows."""
         at = self.solution.evaluated()
+        at.forget()
         *_, chi2 = at.poses_under(self.lineariser.first_noise, self.weights).right_hand_side()
         return chi2 + at.prior.cost
 
@@ -86,12 +87,13 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     # What random effects explain is in the noise of an adjustment without them.
     noise = None if first is None or any(t.sized for t in options.terms) else first.noise
     begin = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
-    at, found = determined(obs, options, begin, noise)
-    solution = settle_variances(robust_solve(at, COARSE), links_follow=links_follow)
+    solution, found = determined(obs, options, begin, noise)
+    solution = robust_solve(solution, COARSE)  # by one name, so that one solution at a time is in memory
+    solution = settle_variances(solution, links_follow=links_follow)
     # Noise larger than expected may leave more undetermined than the first look showed.
-    at, more = still_determined(solution)
+    solution, more = still_determined(solution)
     if more:
-        solution = settle_variances(solve(at, tolerance=COARSE), links_follow=links_follow)
+        solution = settle_variances(solve(solution, tolerance=COARSE), links_follow=links_follow)
     if not (links_follow and solution.lineariser.random_links):
         solution = made_exact(solution)
     held = [*found, *more]
@@ -164,6 +166,7 @@ def with_random_links(fitted: Adjustment) -> Adjustment:
     layout = fitted.lineariser.layout
     if not fitted.lineariser.random_links:
         return fitted
+    fitted.solution.forget()
     solution = settle_variances(fitted.solution.with_priors(with_common_sizes(layout)), sizes_first=True)
     solution = made_exact(solution)
     return replace(fitted, solution=solution, noise=solution.noise, weights=solution.weights)

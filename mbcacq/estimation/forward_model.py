@@ -77,6 +77,10 @@ class Prediction:
 
     @cached_property
     def gradient(self) -> np.ndarray:
+        """What ``differentiated`` returns, kept."""
+        return self.differentiated()
+
+    def differentiated(self) -> np.ndarray:
         """G (M, R, 6), change of the residual's rows by a spatial twist of the arm; R = 3, or 6 where the target's orientation is measured
         (rows 3..5: rotation vector in the instrument's frame, rad), or 1 of a distance."""
         by_target = self.measurement == TARGET_IN_BASE

@@ -6,9 +6,8 @@ the plausible size of an arm's errors) is a sigma of the nuisance parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,9 +23,9 @@ from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.model.observations import Observations
 
-Computed = TypeVar("Computed")
 STATION_SIGMA = np.array([1e4, 1e4, 1e4, 3.0, 3.0, 3.0])  # mm, rad: of a station whose place nobody stated; wider than any cell
 
 
@@ -50,7 +49,7 @@ class LinearProblem:
     residual: np.ndarray
     columns_by_pose: PoseColumns
     given: tuple[tuple[Term, np.ndarray], ...] = ()
-    shared: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+    computed_once: ComputedOnce = field(default_factory=ComputedOnce, repr=False)
 
     @classmethod
     def of(
@@ -113,12 +112,6 @@ class LinearProblem:
     def with_residual(self, residual: np.ndarray) -> LinearProblem:
         """The same linearisation of another residual (M, R)."""
         return replace(self, residual=residual, columns_by_pose=replace(self.columns_by_pose, residual=self.rows.pad(residual)))
-
-    def computed_once(self, key: Hashable, compute: Callable[[], Computed]) -> Computed:
-        """What ``compute`` returns at its first call for this key. It must depend on the linearisation alone, not on keep or residual."""
-        if key not in self.shared:
-            self.shared[key] = compute()
-        return self.shared[key]
 
     # Columns ------------------------------------------------------------------------------------------------------
 
@@ -222,25 +215,15 @@ class LinearProblem:
         station = np.repeat(self.obs.station[self.obs.pose], self.width)
         return [as_slice(np.flatnonzero(station == s)) for s in self.rows.stations]
 
-    def station_columns(self, stations: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (M, R, 6 S') of the poses of some stations, and their prior sigma (6 S',)."""
-        obs, given = self.obs, set(self.given_stations)
-        out, sigma = np.zeros((obs.n_centres, self.width, 6 * len(stations))), np.ones((len(stations), 6))
-        for j, s in enumerate(stations):
-            here = obs.station[obs.pose] == s
-            local = self.station[here]
-            if s in given:
-                # In units of the uncertainty of the given place.
-                local = local @ np.linalg.inv(np.linalg.cholesky(_given(obs, self.state, int(s)))).T
-            else:
-                sigma[j] = STATION_SIGMA
-            out[here, :, 6 * j : 6 * j + 6] = local
-        return out, sigma.reshape(-1)
+    def station_columns(self, stations: Sequence[int] | np.ndarray) -> np.ndarray:
+        """(M, R, 6 S') columns of the poses of some stations, in units of their prior sigma."""
+        station = self.obs.station[self.obs.pose]
+        return np.concatenate([np.where((station == s)[:, None, None], self.own_station, 0.0) for s in stations], axis=2)
 
     def nuisance(self) -> tuple[np.ndarray, np.ndarray]:
         """Columns (M, R, z) of the stations in use, six each, and of the free geometry, and their prior sigma (z,)."""
-        stations, sigma = self.station_columns(self.rows.stations)
-        return np.concatenate([stations, self.geometry], axis=2), np.concatenate([sigma, self.sigma])
+        stations = self.station_columns(self.rows.stations)
+        return np.concatenate([stations, self.geometry], axis=2), np.concatenate([np.ones(stations.shape[2]), self.sigma])
 
     def whitener(self, noise: Noise) -> CentreWhitening:
         return CentreWhitening(self.rows, self.joint, noise, self.keep)

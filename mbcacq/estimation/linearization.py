@@ -26,11 +26,16 @@ class EvaluatedEstimate:
     """The recording at one estimate. residual: (M, R); rows: (P, B R) the same as the poses have it, with the covariances that measurements
     state taken out; prior: what is known beforehand."""
 
+    lineariser: Lineariser
     estimate: Estimate
-    prediction: forward_model.Prediction
     residual: np.ndarray
     rows: np.ndarray
     prior: Prior
+
+    @cached_property
+    def prediction(self) -> forward_model.Prediction:
+        """Made again where it was forgotten."""
+        return self.lineariser.predicted(self.estimate)
 
 
 class Lineariser:
@@ -86,17 +91,23 @@ class Lineariser:
         """The inverse of ``weighted``, of rows (M, R)."""
         return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
 
-    def evaluate(self, estimate: Estimate) -> EvaluatedEstimate:
-        """Prediction and residual at an estimate, and its distance from what is known beforehand."""
+    def predicted(self, estimate: Estimate) -> forward_model.Prediction:
+        """What should have been measured."""
         moved = None
         if self.options.terms or self.options.displaced:
             known = self.options.displaced
             every = (*self.options.terms, *(term for term, _ in known))
             moved = terms.accumulate(self.obs, every, (*estimate.coefficients, *(values for _, values in known)))
-        prediction = forward_model.predict(self.obs, estimate.state, moved)
+        return forward_model.predict(self.obs, estimate.state, moved)
+
+    def evaluate(self, estimate: Estimate) -> EvaluatedEstimate:
+        """Prediction and residual at an estimate, and its distance from what is known beforehand."""
+        prediction = self.predicted(estimate)
         residual = forward_model.residual(self.obs, prediction)
         prior = prior_rows(self.obs.cell, self.layout, estimate, self.rows.stations)
-        return EvaluatedEstimate(estimate, prediction, residual, self.rows.pad(self.weighted(residual)), prior)
+        there = EvaluatedEstimate(self, estimate, residual, self.rows.pad(self.weighted(residual)), prior)
+        vars(there)["prediction"] = prediction
+        return there
 
     def at(self, there: EvaluatedEstimate) -> PoseColumns:
         """The columns there."""
@@ -107,7 +118,8 @@ class Lineariser:
             some = self._twists(chain, prediction, rows.order[block.poses])
             for whole, part in zip((moved, of_station, jointly), some, strict=True):
                 whole[block.poses] = np.swapaxes(part, 1, 2)
-        basis, size = rows.pad(self.weighted(prediction.gradient)), rows.depth * rows.width
+        gradient = prediction.gradient if self.options.terms else prediction.differentiated()
+        basis, size = rows.pad(self.weighted(gradient)), rows.depth * rows.width
         by_rows = size <= 6
         if by_rows:
             # No more rows than a twist has components: the rows themselves are the shorter basis, in which effects are twists as well.
@@ -129,7 +141,7 @@ class Lineariser:
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station[poses]), 1, 2)
         arm = twists.reshape(len(poses), -1, 6)[:, chain_free]
         moving = np.concatenate([arm, self._of_recordings(mount, poses)[:, mount_free]], axis=1)
-        return moving, station, twists[:, :, 0] * chain.sign[:, None]
+        return moving, station, chain.of_joints(twists)
 
     def _beside(
         self, first: np.ndarray, prediction: forward_model.Prediction, turn: np.ndarray, as_twists: bool

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,12 +28,16 @@ class WeightedRows:
 
     def __init__(self, rows: PoseRows, columns: PoseColumns, weight: np.ndarray, pose_weight: np.ndarray):
         """weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of the observations; 1 full, 0 rejected."""
-        P, R, B = rows.n_poses, rows.width, rows.depth
-        self.rows, self.weight, share = rows, weight, pose_weight[rows.order]
-        scale = rows.pad(np.sqrt(weight)[:, None] / rows.sigma_scale)
-        scale = np.ascontiguousarray(scale.reshape(P, B, R).transpose(0, 2, 1))
+        self.rows, self.columns, self.weight, self.share = rows, columns, weight, pose_weight[rows.order]
         self.counted = float(np.sum(weight * pose_weight[rows.pose_of_centre]))
-        self.blocks = [WeightedBlock(place, columns.of_poses(place.poses), scale[place.poses], share[place.poses]) for place in rows.blocks]
+
+    @cached_property
+    def blocks(self) -> list[WeightedBlock]:
+        """The poses, block by block in the order of ``PoseRows``."""
+        rows, columns, share = self.rows, self.columns, self.share
+        scale = rows.pad(np.sqrt(self.weight)[:, None] / rows.sigma_scale)
+        scale = np.ascontiguousarray(scale.reshape(rows.n_poses, rows.depth, rows.width).transpose(0, 2, 1))
+        return [WeightedBlock(of, columns.of_poses(of.poses), scale[of.poses], share[of.poses]) for of in rows.blocks]
 
 
 class PoseInformation:
@@ -41,9 +46,21 @@ class PoseInformation:
     def __init__(self, weighted: WeightedRows, columns: PoseColumns, noise: Noise):
         self.weighted, self.columns, self.rows, self.noise = weighted, columns, weighted.rows, noise
         self.precision = 1.0 / noise.row_sigma(self.rows.width) ** 2
-        sigma = np.broadcast_to(self.rows.joint_sigma(noise), (self.rows.n_poses, 1, columns.joints.shape[2]))
-        self.blocks = [PoseBlock(block, columns.of_poses(block.place.poses), noise, sigma[block.place.poses]) for block in weighted.blocks]
         self._products: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @cached_property
+    def blocks(self) -> list[PoseBlock]:
+        """The same under the noise."""
+        noise, columns = self.noise, self.columns
+        sigma = np.broadcast_to(self.rows.joint_sigma(noise), (self.rows.n_poses, 1, columns.joints.shape[2]))
+        return [PoseBlock(of, columns.of_poses(of.place.poses), noise, sigma[of.place.poses]) for of in self.weighted.blocks]
+
+    def forget(self, weighted: bool = False) -> None:
+        """Give back the memory of the blocks, made again where they are asked for. weighted: of all that is made of the columns."""
+        vars(self).pop("blocks", None)
+        if weighted:
+            vars(self.weighted).pop("blocks", None)
+            self._products = None
 
     @classmethod
     def of(cls, rows: PoseRows, columns: PoseColumns, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray) -> PoseInformation:

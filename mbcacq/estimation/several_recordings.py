@@ -7,7 +7,7 @@ maximum likelihood (Hardy, Thompson 1996).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -59,28 +59,25 @@ def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) ->
     poses, stations = _offsets([r.n_poses for r in recordings]), _offsets([len(r.cell.stations) for r in recordings])
     balls = _offsets([len(r.cell.ball_ids) for r in recordings])
 
-    def joined(values: Callable[[int, Observations], np.ndarray | None]) -> np.ndarray | None:
-        each = [values(i, r) for i, r in enumerate(recordings)]
-        return None if any(one is None for one in each) else np.concatenate([one for one in each if one is not None])
-
     def column(name: str) -> np.ndarray | None:
-        return joined(lambda _, r: getattr(r, name))
+        each = [getattr(r, name) for r in recordings]
+        return None if any(one is None for one in each) else np.concatenate(each)
 
     columns: dict[str, Any] = {name: column(name) for name in OPTIONAL}
     common = [name for name in first.temperatures if all(name in r.temperatures for r in recordings)]
     return Observations(
         cell=_cell(recordings),
         pose_id=np.arange(poses[-1]),
-        station=_all([r.station + s for r, s in zip(recordings, stations, strict=False)]),
-        q=_all([r.q for r in recordings]),
-        pose=_all([r.pose + p for r, p in zip(recordings, poses, strict=False)]),
-        ball=_all([r.ball + b for r, b in zip(recordings, balls, strict=False)]),
-        xyz=_all([r.xyz for r in recordings]),
-        payload_kg=_all([_payload_kg(r) for r in recordings]),
-        payload_com=_all([np.tile(r.cell.robot.payload_com, (r.n_poses, 1)) for r in recordings]),
-        temperatures={name: _all([r.temperatures[name] for r in recordings]) for name in common},
-        recording=_all([np.full(r.n_poses, i) for i, r in enumerate(recordings)]),
-        noise_scale=_all([_noise_scale(part, parts[0], r) for part, r in zip(parts, recordings, strict=True)]),
+        station=np.concatenate([r.station + s for r, s in zip(recordings, stations, strict=False)]),
+        q=np.concatenate([r.q for r in recordings]),
+        pose=np.concatenate([r.pose + p for r, p in zip(recordings, poses, strict=False)]),
+        ball=np.concatenate([r.ball + b for r, b in zip(recordings, balls, strict=False)]),
+        xyz=np.concatenate([r.xyz for r in recordings]),
+        payload_kg=np.concatenate([_payload_kg(r) for r in recordings]),
+        payload_com=np.concatenate([np.tile(r.cell.robot.payload_com, (r.n_poses, 1)) for r in recordings]),
+        temperatures={name: np.concatenate([r.temperatures[name] for r in recordings]) for name in common},
+        recording=np.concatenate([np.full(r.n_poses, i) for i, r in enumerate(recordings)]),
+        noise_scale=np.concatenate([_noise_scale(part, parts[0], r) for part, r in zip(parts, recordings, strict=True)]),
         **columns,
     )
 
@@ -135,10 +132,6 @@ def _refuse_different_arms(recordings: Sequence[Observations]) -> None:
 
 def _offsets(counts: Sequence[int]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)])
-
-
-def _all(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate(list(arrays))
 
 
 DIFFERENT = 0.01  # p-value below which recordings are said to differ

@@ -112,6 +112,15 @@ class Solution:
         rows = self.normal.rows
         return rows.unpad(self.whitening(self.columns.residual[..., None]))[..., 0]
 
+    def forget(self, columns_too: bool = False) -> None:
+        """Give back the memory of what is made again where it is asked for, before one under another noise takes the place of this one.
+        columns_too: one with other columns.
+        """
+        for at in (self,) if self.step is None else (self, self.step.start):
+            at.poses.forget(columns_too)
+            vars(at).pop("whitening", None)
+            vars(at.there).pop("prediction", None)
+
     def reweighted(self, noise: Noise, weights: Weights) -> Solution:
         """The system with other noise or weights, at the estimate where the residual was evaluated."""
         if noise is self.noise and weights is self.weights:
@@ -160,6 +169,7 @@ class Solution:
         """The system at another estimate, under the same noise and weights. turned: rad, at most, of any rotation since the columns were
         made; within ``reuse`` they stay as they are."""
         if turned >= reuse:
+            self.forget(columns_too=True)
             return _whitened(self.lineariser, there, self.noise, self.weights, iterations)
         poses = self.poses.with_residual(replace(self.columns, residual=there.rows))
         normal = self.normal.with_right_hand_side(*poses.right_hand_side(), there.prior)

@@ -162,6 +162,7 @@ def most_probable_noise(
         before = solution
         proposed, gain = reml_step(before.system, before.noise, prior)
         reached = log_restricted_posterior(before.system, before.noise, prior)
+        before.forget()
         for _ in range(HALVINGS):
             there = refit(before, proposed)
             if log_restricted_posterior(there.system, there.noise, prior) > reached - NOISE_GAIN:

@@ -26,7 +26,7 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.result_json import load_result
-from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.gaps import find_gaps
@@ -207,7 +207,7 @@ def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell
     alone = cell.extra.get("geometry_alone")
     chain = None
     if alone:
-        chain = Chain(cell.state.chain.sign, *(np.array(alone["calibrated"][p]) for p in PARAMETERS))
+        chain = cell.state.chain.with_rows(np.array([alone["calibrated"][p] for p in PARAMETERS]).T)
     name = str(data) if isinstance(data, Path | str) else ""
     observations = as_observations(data)
     found = check_transfer(observations, cell, chain, place=place, recording=name)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from mbcacq.calibration.length_budget import LengthBudget, artefact_temperature, repeated_variance, temperature_sentence, thermal_mm
+from mbcacq.calibration.length_budget import LengthBudget, artefact_temperature, repeated_variance, temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
@@ -27,8 +27,7 @@ def observations(temperatures=None, room=None, artefact=STEEL, repeatability=Non
 
 
 def thermal(obs):
-    artefact = obs.cell.artefacts[0]
-    return thermal_mm(artefact, 735.0, artefact_temperature(obs, artefact))
+    return artefact_temperature(obs, obs.cell.artefacts[0]).thermal_mm(735.0)
 
 
 def test_steel_grows_by_eight_and_a_half_micrometres_a_kelvin_over_the_bar():
@@ -64,7 +63,8 @@ def test_an_artefact_of_unknown_expansion_is_taken_for_steel():
 
 
 def test_terms_add_as_squares():
-    assert LengthBudget(735.0, 0.003, 0.004, 0.012, 0.084).combined_mm == pytest.approx(np.sqrt(9 + 16 + 144 + 7056) * 1e-3)
+    somewhere = "b1", artefact_temperature(observations(), STEEL)
+    assert LengthBudget(735.0, 0.003, 0.004, 0.012, 0.084, *somewhere).combined_mm == pytest.approx(np.sqrt(9 + 16 + 144 + 7056) * 1e-3)
 
 
 def test_what_a_model_lacks_does_not_widen_what_it_is_judged_by():

@@ -54,6 +54,15 @@ def test_a_product_of_two_angles_is_not_taken_for_a_sum_of_functions_of_one():
     assert off < 1.2 * at_new_places("nothing further", 3)[0]
 
 
+def test_meshes_of_a_gear_are_laws_by_orders_that_no_smooth_function_follows():
+    """Order 101 of A3 and 57 of A2, by 0.1 mrad: found to a quarter of what its travel tells apart."""
+    learn, new, truth = erring_arm(LAWS["gear errors of orders 57 and 101"], 0)
+    found = calibrate(learn)
+    orders = {t.where[0]: t.hyper["order"] for t in found.effects.terms}
+    assert orders == {"A2": pytest.approx(57, abs=0.2), "A3": pytest.approx(101, abs=0.2)}
+    assert placed_wrong(found, new, truth) < 1.2 * at_new_places("nothing further", 0)[0]
+
+
 @pytest.mark.parametrize("law", ["gear errors of orders 2 to 4", "gear errors of orders 17 and 22"])
 def test_wheels_of_a_gear_are_learnt_each_by_its_own_periods(law):
     off, groups = at_new_places(law, 0)

@@ -14,7 +14,7 @@ from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
 
-from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, Trace, counted, ended
+from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, counted, ended
 from mbcacq.devices import parse_options
 
 MBAP = counted(at=4, size=2, order="big", plus=6)
@@ -38,7 +38,7 @@ IDENTITY = {"address": 100, "table": "input"}
 
 
 @contextmanager
-def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
+def modbus_positioner() -> Iterator[Stand]:
     lift = FakePositioner({"1": 0.0, "2": 120.0}, Register(**POSITION), Register(**IN_POSITION), Register(**ACTUAL), travel_s=0.03)
     given = {
         "stations": {"1": 0.0, "2": 120.0},
@@ -48,7 +48,7 @@ def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
         "move_timeout_s": 10.0,
         "identity": {"where": IDENTITY, "equals": 4711},
     }
-    with _modbus(FakeModbus(lift, [(Register(**IDENTITY), lambda: 4711.0)]), given, ModbusPositioner, trace) as (make, proxies):
+    with _modbus(FakeModbus(lift, [(Register(**IDENTITY), lambda: 4711.0)]), given, ModbusPositioner) as (make, proxies):
 
         def use(positioner: ModbusPositioner) -> None:
             station = "2" if lift.target == 0.0 else "1"
@@ -70,12 +70,12 @@ def modbus_positioner(trace: Trace | None = None) -> Iterator[Stand]:
 
 
 @contextmanager
-def modbus_sensor(trace: Trace | None = None, rtu: bool = False) -> Iterator[Stand]:
+def modbus_sensor(rtu: bool = False) -> Iterator[Stand]:
     values = {"air_C": {"address": 4, "type": "int16", "scale": 0.1}, "scanner_C": {"address": 40, "table": "input", "type": "float32"}}
     known = {"air_C": 21.5, "scanner_C": 38.25}
     served = [(Register(**values[name]), lambda v=value: v) for name, value in known.items()] + [(Register(**IDENTITY), lambda: 4711.0)]
     given = {"values": values, "identity": {"where": IDENTITY, "equals": 4711}}
-    with _modbus(FakeModbus(values=served, rtu=rtu), given, ModbusSensor, trace, rtu) as (make, proxies):
+    with _modbus(FakeModbus(values=served, rtu=rtu), given, ModbusSensor, rtu) as (make, proxies):
 
         def use(sensor: ModbusSensor) -> None:
             assert (got := sensor.read()) == known, f"it reads {got} instead of {known}"
@@ -84,10 +84,9 @@ def modbus_sensor(trace: Trace | None = None, rtu: bool = False) -> Iterator[Sta
 
 
 @contextmanager
-def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, trace: Trace | None, rtu: bool = False) -> Iterator[tuple]:
-    note = trace.note if trace else (lambda *_: None)
+def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, rtu: bool = False) -> Iterator[tuple]:
     cuts = {} if rtu else {"cut": MBAP, "cut_driver": MBAP}
-    with fake, TcpProxy(Channel("modbus", note), fake.address, **cuts) as proxy:
+    with fake, TcpProxy(Channel("modbus"), fake.address, **cuts) as proxy:
         where = {"serial": f"socket://127.0.0.1:{proxy.port}"} if rtu else {"host": "127.0.0.1", "port": proxy.port}
         yield lambda **o: driver("lift", "L4", {**where, **given, "timeout_s": 3.0, "retries": 1, **o}), {"modbus": proxy}
 
@@ -105,12 +104,12 @@ class Thermometer(dict):
 
 
 @contextmanager
-def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Stand]:
-    note, thermometer = trace.note if trace else (lambda *_: None), Thermometer({"": ""})
+def serial_sensor(pty: bool = False) -> Iterator[Stand]:
+    thermometer = Thermometer({"": ""})
     with FakeSerialSensor(lambda: "", answers=thermometer) as fake:
         fake.silent = True
         kind = PtyProxy if pty else TcpProxy
-        with kind(Channel("line", note), fake.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
+        with kind(Channel("line"), fake.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
             given = {
                 "port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}",
                 "ask": "T?\n",
@@ -133,11 +132,10 @@ def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Sta
 
 
 @contextmanager
-def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
-    note = trace.note if trace else (lambda *_: None)
+def serial_positioner() -> Iterator[Stand]:
     with (
         FakeSerialPositioner(parse_options(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
-        PtyProxy(Channel("line", note), fake.address, cut=LINE, cut_driver=LINE) as proxy,
+        PtyProxy(Channel("line"), fake.address, cut=LINE, cut_driver=LINE) as proxy,
     ):
         lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 10.0}
 
@@ -164,5 +162,5 @@ def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
             begin,
             lambda: lift.arrived,
             HASTY,
-            facts={"in position": None},
+            facts={"in position": lambda: setattr(lift, "stuck", True)},
         )

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
+from mbcacq_fakes.protocols.gocator.files import EXPOSURE
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
+from mbcacq.conformance import Channel, Stand, TcpProxy, counted
 
 
 def tilted_plane() -> ScannerFrame:
@@ -22,10 +24,9 @@ def tilted_plane() -> ScannerFrame:
 
 
 @contextmanager
-def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
+def gocator(**more: Any) -> Iterator[Stand]:
     """Every scan is of another plane, so that an old one cannot pass for a new one."""
     plane, asked = tilted_plane(), []
-    note = trace.note if trace else (lambda *_: None)
 
     def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
@@ -34,11 +35,11 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1)))
         proxies = {
-            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
-        given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
+        given = {"address": "127.0.0.1", **ports, **more}
         short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: Gocator) -> None:
@@ -53,6 +54,16 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             sensor.faults.set("no_data", times=1)
             scanner.capture()
 
+        number = sensor.files.number
+
+        def longer(path: str) -> float:
+            return number(path) * (1.5 if path == EXPOSURE else 1.0)
+
+        def replaced(what: str, value: object) -> None:
+            setattr(sensor.state, what, value)
+            for proxy in proxies.values():
+                proxy.cut()
+
         yield Stand(
             lambda **o: Gocator("front", "3210", {**given, **o}),
             use,
@@ -61,9 +72,9 @@ def gocator(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             begin,
             short_limits=short_limits,
             facts={
+                "serial number": lambda: replaced("options", replace(sensor.options, serial=54321)),
+                "firmware": lambda: replaced("firmware", (6, 1, 99, 0)),
                 "job": lambda: setattr(sensor.files, "loaded_job", "other.job"),
-                "exposure": None,
-                "serial number": None,
-                "firmware": None,
+                "exposure": lambda: setattr(sensor.files, "number", longer),
             },
         )

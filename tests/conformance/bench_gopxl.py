@@ -12,14 +12,13 @@ from mbcacq_fakes.protocols.gopxl import FakeGoPxL
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.gopxl.driver import GoPxL
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, counted
+from mbcacq.conformance import Channel, Stand, TcpProxy, counted
 
 
 @contextmanager
-def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
+def gopxl(**more: Any) -> Iterator[Stand]:
     """Every scan is of another plane, so that an old one cannot pass for a new one."""
     plane, asked = tilted_plane(), []
-    note = trace.note if trace else (lambda *_: None)
 
     def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
@@ -28,11 +27,11 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         sensor = stack.enter_context(FakeGoPxL(source))
         proxies = {
-            name: stack.enter_context(TcpProxy(Channel(name, note), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
+            name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
         }
         ports = {f"{name}_port": proxy.port for name, proxy in proxies.items()}
-        given = {"address": "127.0.0.1", **ports, "retries": 1, **more}
+        given = {"address": "127.0.0.1", **ports, **more}
         short_limits = {"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0}
 
         def use(scanner: GoPxL) -> None:
@@ -47,6 +46,15 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             sensor.faults.set("no_data", times=1)
             scanner.capture()
 
+        def longer(exposure_us: float) -> ScannerFrame:
+            sensor.resources.sensor["exposureSettings"]["singleExposure"] = 1.5 * exposure_us
+            return source(exposure_us)
+
+        def replaced(what: str, value: object) -> None:
+            setattr(sensor.resources, what, value)
+            for proxy in proxies.values():
+                proxy.cut()
+
         yield Stand(
             lambda **o: GoPxL("scanner", "3504", {**given, **o}),
             use,
@@ -55,9 +63,9 @@ def gopxl(trace: Trace | None = None, **more: Any) -> Iterator[Stand]:
             begin,
             short_limits=short_limits,
             facts={
+                "serial number": lambda: replaced("serial", "54321"),
+                "firmware": lambda: replaced("api", "1.1.0"),
                 "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
-                "exposure": None,
-                "serial number": None,
-                "firmware": None,
+                "exposure": lambda: setattr(sensor, "source", longer),
             },
         )

@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc.eki import FakeEki
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
-from mbcacq.conformance import Channel, Stand, TcpProxy, Trace, UdpProxy, ended
+from mbcacq.conformance import Channel, Stand, TcpProxy, UdpProxy, ended
 from mbcacq.devices import MotionLimits
 
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
@@ -50,18 +48,11 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
 
 
 @contextmanager
-def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Iterator[Stand]:
-    note = trace.note if trace else (lambda *_: None)
+def kuka_rsi(**krc: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         port = free_port()
-        proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi", note), ("127.0.0.1", port)))}
+        proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi"), ("127.0.0.1", port)))}
         given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 2.0}
-        if eki:
-            server = stack.enter_context(FakeEki(model="#KR16R2010_2 C4 FLR"))
-            link = TcpProxy(Channel("eki", note), ("127.0.0.1", server.port), cut=XML, cut_driver=ended(b"</External>"))
-            proxies["eki"] = stack.enter_context(link)
-            given["eki"] = f"127.0.0.1:{link.port}"
-            krc["sen_type"] = "KROSHU"  # as KUKA's own RSI programs have it
         fake = stack.enter_context(
             FakeKrc(
                 client=proxies["rsi"].address,
@@ -88,19 +79,18 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             make=make,
             use=use,
             proxies=proxies,
-            wrong=(lambda: make("KR 210 R2700-2")) if eki else None,
             begin=begin,
             at_rest=lambda: fake.state.read().standstill,
             short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},
-            ready=lambda: not fake.counters()["active"],
+            ready=lambda: not fake.report()["active"],
             output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
         )
 
 
 @contextmanager
-def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
+def kuka_eki() -> Iterator[Stand]:
     """The programs that are shipped, run by a fake controller."""
-    note, folder = trace.note if trace else (lambda *_: None), files("mbcacq_kuka") / "controller"
+    folder = files("mbcacq_kuka") / "controller"
     sources = {name: (folder / "eki_kss" / name).read_text() for name in ("mbcacq_eki.dat", "mbcacq_eki.src", "mbcacq_link.src")}
     sources["mbcacq_eki.dat"] = sources["mbcacq_eki.dat"].replace("mb_out[1]=0", f"mb_out[1]={OUTPUT}")
     with ExitStack() as stack:
@@ -109,7 +99,7 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
                 sources=sources, channel=(folder / "eki_kss" / "mbcacq_eki.xml").read_text(), start_deg=tuple(EKI_HOME_DEG), realtime=False
             )
         )
-        proxy = stack.enter_context(TcpProxy(Channel("eki", note), ("127.0.0.1", fake.port), cut=XML, cut_driver=ended(b"</Command>")))
+        proxy = stack.enter_context(TcpProxy(Channel("eki"), ("127.0.0.1", fake.port), cut=XML, cut_driver=ended(b"</Command>")))
         given = {
             "address": "127.0.0.1",
             "port": proxy.port,

@@ -22,7 +22,7 @@ from bench_ur import ur_rtde
 from mbcacq.conformance import DriverBench
 
 NEEDS_TERMINAL = {"manual", "serial positioner", "serial sensor pty"}  # benches that stand on pseudo-terminals, which Windows has not
-NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity; the bench with EKI has it"}
+NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity"}
 BENCHES = {
     bench.name: bench
     for bench in (
@@ -31,7 +31,6 @@ BENCHES = {
         DriverBench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
         DriverBench("gopxl", "scanner", gopxl),
         DriverBench("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
-        DriverBench("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),
         DriverBench("simulated scanner", "scanner", simulated_scanner, excused=OPTIONS_OF_OTHERS),

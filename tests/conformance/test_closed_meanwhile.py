@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from benches import BENCHES, marked
 
-OPENED_AGAIN = {  # with options: no retries; on a busy computer it takes longer to find a robot again
-    "gocator": {"retries": 0},
-    "gocator trigger": {"retries": 0},
-    "gopxl": {"retries": 0},
+OPENED_AGAIN = {  # with options: on a busy computer it takes longer to find a robot again
+    "gocator": {},
+    "gocator trigger": {},
+    "gopxl": {},
     "kuka_eki": {"reconnect_s": 60.0},
     "modbus positioner": {},
     "modbus sensor": {},

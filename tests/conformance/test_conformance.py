@@ -6,6 +6,7 @@ import pytest
 from benches import BENCHES, marked
 
 from mbcacq.conformance import CHECKS, check
+from mbcacq.conformance.checks import a_changed_fact_is_seen
 from mbcacq.devices import available
 
 NO_LINE = {
@@ -35,7 +36,6 @@ QUICK = {
     "simulated",
     "simulated scanner",
     "gocator",
-    "kuka_rsi with EKI",
     "kuka_eki",
     "modbus positioner",
     "opcua",
@@ -43,17 +43,25 @@ QUICK = {
 }
 
 
-SWITCHES = {"kuka_rsi with EKI", "kuka_eki", "ur_rtde"}
+SWITCHES = {"kuka_rsi", "kuka_eki", "ur_rtde"}
 REPORTS_FACTS = {"ur_rtde", "opcua", "kuka_eki", "gocator", "gopxl", "modbus positioner", "serial positioner"}
 
 
-@pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
+OTHERS = [check for check in CHECKS if check is not a_changed_fact_is_seen]
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in sorted(REPORTS_FACTS)])
+def test_every_fact_of_a_driver_is_watched(name):
+    result = check(BENCHES[name], a_changed_fact_is_seen)
+    assert result.status == "passed", str(result)
+
+
+@pytest.mark.parametrize("each", OTHERS, ids=lambda each: each.__name__)
 @pytest.mark.parametrize("name", [marked(name) for name in sorted(QUICK)])
 def test_a_driver_passes_the_check(name, each):
     result = check(BENCHES[name], each)
     no_outputs = each.__name__ == "an_output_that_is_on_goes_off" and name not in SWITCHES
-    no_facts = each.__name__ == "a_changed_fact_is_seen" and name not in REPORTS_FACTS
-    assert result.status == ("skipped" if no_outputs or no_facts or each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
+    assert result.status == ("skipped" if no_outputs or each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
 
 
 def test_every_driver_that_is_installed_has_a_bench():

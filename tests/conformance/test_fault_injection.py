@@ -12,7 +12,7 @@ CHOSEN = [
     ("gocator", Case("control", "device", 3, "garbage"), {NAMED}),
     ("gocator", Case("data", "device", 1, "duplicate"), {RECOVERED}),
     ("gocator", Case("data", "device", 0, "drop"), {NAMED}),
-    ("gocator", Case("data", "device", 3, "close"), {RECOVERED}),
+    ("gocator", Case("data", "device", 3, "close"), {NAMED}),
     ("gocator", Case("control", "driver", 7, "truncate"), {NAMED}),
     ("gocator", Case("health", "device", 0, "garbage"), {RECOVERED}),
     ("gocator trigger", Case("control", "device", 12, "duplicate"), {NAMED, RECOVERED}),
@@ -22,7 +22,7 @@ CHOSEN = [
     ("gopxl", Case("control", "driver", 9, "truncate"), {NAMED}),
     ("gopxl", Case("data", "device", 0, "drop"), {NAMED}),
     ("gopxl", Case("data", "device", 1, "duplicate"), {RECOVERED}),
-    ("gopxl", Case("data", "device", 2, "close"), {RECOVERED}),
+    ("gopxl", Case("data", "device", 2, "close"), {NAMED}),
     ("kuka_rsi", Case("rsi", "device", 40, "duplicate"), {RECOVERED}),
     ("kuka_rsi", Case("rsi", "device", 40, "garbage"), {NAMED, RECOVERED}),  # recovered where the datagram was one that is repeated
     ("kuka_rsi", Case("rsi", "driver", 30, "drop"), {NAMED, RECOVERED}),

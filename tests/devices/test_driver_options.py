@@ -5,7 +5,7 @@ from importlib.metadata import entry_points
 import pytest
 from pydantic import ValidationError
 
-from mbcacq.devices import DriverOptions
+from mbcacq.devices import DriverOptions, same_model
 
 OURS = sorted(
     {
@@ -30,3 +30,19 @@ def test_infinity_and_nan_are_refused(model, name, value):
 def test_every_driver_has_the_one_base():
     assert len(OURS) >= 9
     assert all(issubclass(model, DriverOptions) for model in OURS)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reported", "same"),
+    [
+        ("kr210_r2700_2", "#KR210R2700_2 C4 FLR", True),
+        ("KUKA KR 16 R2010-2", "#KR16R2010_2 C4 FLR", True),
+        ("KR 16-2", "#KR16_2 C2", True),
+        ("KR 210 R2700-2", "#KR210R3100_2 C4 FLR", False),
+        ("KR 6 R900-2", "#KR6R700_2 C5", False),
+        ("KR 10", "KR 1000 titan", False),
+        ("KR 10", "#KR10R1100_2 C5", True),
+    ],
+)
+def test_model_names(wanted, reported, same):
+    assert same_model(wanted, reported) is same

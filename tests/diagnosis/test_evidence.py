@@ -19,10 +19,11 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.sufficient_poses import coefficient_limit
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.bayes_factor import log_bayes_factors, log_set_bayes_factor
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.estimation.variance_components import pack
+from mbcacq.model.computed_once import ComputedOnce
 
 SIZES = np.array([0.3, 1.0, 3.0])
 
@@ -229,7 +230,7 @@ def test_nineteen_of_twenty_true_sizes_are_below_their_limit(small):
     rng, below = np.random.default_rng(3), 0
     for _ in range(1000):
         r0 = true * X[:, 0] + rng.normal(size=len(X))
-        drawn = replace(projected, r0=r0, store=ProductStore(candidates={(scale.key, None): (X, S, projected_onto(projected, X, r0))}))
+        drawn = replace(projected, r0=r0, known=ComputedOnce(candidates={(scale.key, None): (X, S, projected_onto(projected, X, r0))}))
         below += coefficient_limit(drawn, scale).coefficients[0] >= true
     assert 0.93 < below / 1000 < 0.97
 

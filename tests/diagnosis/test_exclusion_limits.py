@@ -13,8 +13,9 @@ from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import ORDERS, LimitBand, bands, directions, largest_ratio, upper_limit
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.model.computed_once import ComputedOnce
 
 SLOW, FAST = 1.0, 30.0
 
@@ -46,7 +47,7 @@ def test_a_name_that_no_drive_of_the_arm_can_have_needs_no_limit(setup):
 def drawn(projected, X, coefficients, rng):
     """The projected problem of a recording with that effect and unit noise."""
     r0 = X @ coefficients + rng.normal(size=len(X))
-    return replace(projected, r0=r0, r=r0 - projected.Q @ (projected.Q.T @ r0), store=ProductStore())
+    return replace(projected, r0=r0, r=r0 - projected.Q @ (projected.Q.T @ r0), known=ComputedOnce())
 
 
 def band_of(gear, order):
@@ -189,7 +190,7 @@ def scan_of(information: np.ndarray, values: tuple[float, ...], drawn: np.ndarra
     problem = SimpleNamespace(
         normal_matrices=lambda candidate, at: (S, np.zeros((len(at), 1))),
         scores_of_noise=lambda candidate, at: (S, drawn[:, None, :]),
-        store=SimpleNamespace(independent={}),
+        known=ComputedOnce(),
     )
     candidate = SimpleNamespace(typical=np.ones(1), components=(1,), key="a", positive=False, k=1)
     return BandScan(problem, candidate, [LimitBand(values)])

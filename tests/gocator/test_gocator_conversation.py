@@ -143,17 +143,6 @@ def test_streamed_read_ends_with_an_empty_piece(talk, fake):
     assert struct.unpack_from("<HiIII", end, 4) == (0x5000, 1, len(whole), len(whole), 0)
 
 
-def test_runtime_variables_flags_and_settings(talk):
-    assert status(talk(struct.pack("<IHIIii", 22, 0x4536, 1, 2, 77, -5))) == 1
-    assert talk(struct.pack("<IHII", 14, 0x4535, 0, 4))[10:] == struct.pack("<II4i", 0, 4, 0, 77, -5, 0)
-    assert status(talk(struct.pack("<IHII", 14, 0x4535, 3, 2))) == -997
-    flag = b"Speed".ljust(256, b"\0")
-    assert status(talk(struct.pack("<IH", 6 + 260 + 2, 0x4534) + flag + struct.pack("<I", 2) + b"on")) == 1
-    assert talk(struct.pack("<IH", 262, 0x4533) + flag)[10:] == b"\x02\0\0\0on"
-    assert status(talk(bytes.fromhex("07 00 00 00 16 45 01"))) == 1
-    assert talk("06 00 00 00 17 45")[10:] == b"\x01"
-
-
 def test_old_firmware_sends_its_version_in_the_probe(frame):
     with (
         FakeGocator(lambda e: frame, FakeGocatorOptions(generation=4)) as sensor,

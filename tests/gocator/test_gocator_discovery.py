@@ -46,14 +46,7 @@ def test_driver_reads_the_annotated_datagram():
     data[:8] = struct.pack("<Q", len(data))
     data[89 + 10] = 3  # count of properties
     found = parse_reply(data)
-    assert (found.serial, found.firmware, found.address, found.gateway, found.dhcp, found.uptime_s) == (
-        12345,
-        (6, 1, 32, 12),
-        "10.0.0.7",
-        "10.0.0.1",
-        True,
-        5.0,
-    )
+    assert (found.serial, found.firmware, found.address, found.prefix_length) == (12345, (6, 1, 32, 12), "10.0.0.7", 24)
     assert (found.control_port, found.health_port, found.data_port) == (3190, 3194, 3196)
     assert found.properties == {"PartNumber": "313504A-2-R-01-T", "ModelNumber": "3504", "Family": "G3x00"}
     assert found.model == "3504"
@@ -110,7 +103,7 @@ def test_firmware_before_5_1_sends_its_address_only():
         "00 00 00 00 0a 00 00 01 00 00 00 00 00 00 00 00"
     )
     found = parse_reply(reply)
-    assert (found.serial, found.address, found.prefix_length, found.gateway, found.dhcp) == (12345, "10.0.0.7", 23, "10.0.0.1", True)
+    assert (found.serial, found.address, found.prefix_length) == (12345, "10.0.0.7", 23)
     assert (found.firmware, found.control_port, found.health_port, found.data_port) == ((0, 0, 0, 0), 3190, 3194, 3196)
     with pytest.raises(ProtocolError):
         parse_reply(reply[:24] + b"X" + reply[25:])

@@ -11,14 +11,14 @@ from mbcacq_fakes.protocols.gocator import FAULTS, actions
 from mbcacq_gocator import wire
 from mbcacq_gocator.driver import Gocator
 
-from mbcacq.devices import Aborted, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
 
 SNAPSHOT, INFO, STATES, TIME = 0x4528, 0x4010, 0x4525, 0x100A
 
 
 @pytest.fixture
 def scanner(driver) -> Gocator:
-    made = driver(timeout_s=1.0, reply_limit_s=1.0, retries=1)
+    made = driver(timeout_s=1.0, reply_limit_s=1.0)
     made.connect()
     return made
 
@@ -107,14 +107,6 @@ def test_only_the_major_protocol_version_counts(fake, driver, other, version):
             scanner.connect()
 
 
-@pytest.mark.parametrize(
-    ("fault", "value"), [("close_data", True), ("close_in_message", True), ("close_control", {SNAPSHOT}), ("close_control", {TIME})]
-)
-def test_one_dropped_connection_is_made_up_for(fake, scanner, fault, value):
-    fake.faults.set(fault, value, times=1)
-    assert len(scanner.capture().points) == 228
-
-
 def test_unknown_message_types_are_passed_over(fake, scanner):
     fake.faults.set("unknown_type")
     assert len(scanner.capture().points) == 228
@@ -149,31 +141,11 @@ def test_a_connection_that_nobody_uses_is_probed_before_a_firewall_forgets_it(fa
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) <= 60
 
 
-def test_sensor_that_stays_away_is_an_error_after_the_retries(fake, scanner):
+def test_sensor_that_stays_away_is_an_error(fake, scanner):
     scanner.capture()
     fake.stop()
     with pytest.raises(ConnectError, match="cannot be reached"):
         scanner.capture()
-
-
-def test_stop_cuts_retries_short(fake, driver):
-    scanner = driver(retries=10)
-    scanner.connect()
-    fake.stop()
-    raised = []
-
-    def capture() -> None:
-        try:
-            scanner.capture()
-        except (Aborted, ConnectError) as error:
-            raised.append(error)
-
-    thread = threading.Thread(target=capture)
-    thread.start()
-    while thread.is_alive():
-        scanner.stop()
-        thread.join(0.05)
-    assert isinstance(raised[0], Aborted)
 
 
 def test_losing_health_loses_only_health(fake, scanner):

@@ -129,7 +129,7 @@ def test_a_bracket_carries_the_warnings_of_all_its_exposures(slow_sensor, bracke
 
 
 def test_a_warning_found_before_an_exposure_that_fails_comes_with_the_next_scan(slow_sensor):
-    with Gocator("front", "", options(slow_sensor, temperature_warning_C=50, retries=0)) as scanner:
+    with Gocator("front", "", options(slow_sensor, temperature_warning_C=50)) as scanner:
         received(scanner, "temperature_C", 60)
         slow_sensor.faults.set("close_data", times=1)
         with pytest.raises(ConnectError):

@@ -22,6 +22,7 @@ RESOLUTION, OFFSET = (2351, 3003, 1713), (-71003, 1000, 250001)
 def way(request, monkeypatch):
     loop = request.getfixturevalue("compiled_loop") if request.param == "compiled" else None
     monkeypatch.setattr(conversion, "compiled", lambda: loop)
+    return request.param
 
 
 def cloud(raw: np.ndarray) -> bytes:
@@ -130,7 +131,7 @@ def test_a_whole_frame_of_any_shape_is_converted_as_one_with_holes(make, shape):
 @pytest.mark.parametrize(
     ("make", "missing"), [(cloud, 0.0), (height_map, 0.0), (height_map, 0.3)], ids=["cloud", "uniform", "uniform with holes"]
 )
-def test_decoding_needs_hardly_more_memory_than_its_result(make, missing):
+def test_decoding_needs_hardly_more_memory_than_its_result(way, make, missing):
     rng = np.random.default_rng(4)
     raw = rng.integers(-32767, 32768, (1000, 1000, 3)[: 3 if make is cloud else 2])
     raw[rng.random((1000, 1000)) < missing] = -32768
@@ -141,4 +142,5 @@ def test_decoding_needs_hardly_more_memory_than_its_result(make, missing):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < 1.3 * sum(array.nbytes for array in (surface.points, surface.pixel))
+    most = 1.3 if way == "compiled" else 2.0  # numpy makes what it selects by as arrays of their own
+    assert peak < most * sum(array.nbytes for array in (surface.points, surface.pixel))

@@ -42,7 +42,7 @@ def test_they_stay_where_the_plan_says_so(fake, driver):
 )
 def test_they_are_put_back_after_a_fault_too(fake, driver, fault, value):
     found = live(fake)
-    with driver(job="other", timeout_s=0.5, reply_limit_s=0.5, retries=0) as scanner:
+    with driver(job="other", timeout_s=0.5, reply_limit_s=0.5) as scanner:
         scanner.capture(2750)
         fake.faults.set(fault, value)
         with pytest.raises((ConnectError, DeviceTimeout, ProtocolError)):
@@ -101,44 +101,3 @@ def test_nothing_is_written_to_a_sensor_whose_settings_fit(fake, driver):
     fake.faults.set("status", {WRITE_FILE: -980})
     with driver(job="bench") as scanner:
         scanner.capture()
-
-
-@pytest.fixture
-def job_file(fake, tmp_path):
-    path = tmp_path / "spheres.job"
-    path.write_bytes(fake.files.read("bench.job").replace(b"<FrameRate", b"<!-- spheres --><FrameRate"))
-    return path
-
-
-def test_a_job_is_uploaded_once_and_loaded(fake, driver, job_file):
-    with driver(job_file=str(job_file)) as scanner:
-        assert fake.files.loaded_job == "spheres.job"
-        assert fake.files.read("spheres.job") == job_file.read_bytes()
-        scanner.capture()
-    assert fake.files.loaded_job == "bench.job"
-    fake.faults.set("status", {WRITE_FILE: -980})  # the same bytes are not written again
-    with driver(job_file=str(job_file)):
-        assert fake.files.loaded_job == "spheres.job"
-
-
-def test_a_job_may_get_another_name(fake, driver, job_file):
-    with driver(job_file=str(job_file), job="run7"):
-        assert fake.files.loaded_job == "run7.job"
-
-
-def test_another_job_of_that_name_is_replaced_only_if_the_plan_says_so(fake, driver, job_file):
-    given = {"job_file": str(job_file), "job": "other"}
-    stored = fake.files.read("other.job")
-    with pytest.raises(ConfigError, match=r"already has a job 'other.job' that differs .* replace_job: true"):
-        driver(**given).connect()
-    assert fake.files.read("other.job") == stored
-    with driver(**given, replace_job=True):
-        assert fake.files.read("other.job") == job_file.read_bytes()
-
-
-def test_a_missing_or_empty_job_file_is_named(driver, tmp_path):
-    (tmp_path / "empty.job").touch()
-    with pytest.raises(ConfigError, match=r"missing.job cannot be read \(No such file"):
-        driver(job_file=str(tmp_path / "missing.job")).connect()
-    with pytest.raises(ConfigError, match="has 0 bytes"):
-        driver(job_file=str(tmp_path / "empty.job")).connect()

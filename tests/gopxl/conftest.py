@@ -19,4 +19,4 @@ def sensor():
 
 @pytest.fixture
 def options(sensor):
-    return {"address": "127.0.0.1", "control_port": sensor.ports.control, "retries": 1}
+    return {"address": "127.0.0.1", "control_port": sensor.ports.control}

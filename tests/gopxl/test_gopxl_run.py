@@ -55,4 +55,4 @@ def test_the_quick_plan_runs_dry_with_gopxl_by_one_word(tmp_path):
 def test_the_classic_driver_names_gopxl_where_that_answers(sensor, monkeypatch):
     monkeypatch.setattr(generation, "GOPXL_CONTROL", sensor.ports.control)
     with pytest.raises(ConnectError, match="use driver: gopxl"):
-        Gocator("scanner", "", {"address": "127.0.0.1", "control_port": 1, "connect_timeout_s": 0.5, "retries": 0}).connect()
+        Gocator("scanner", "", {"address": "127.0.0.1", "control_port": 1, "connect_timeout_s": 0.5}).connect()

@@ -4,8 +4,7 @@ import pytest
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S, START_DEG, settings
 from kuka_bench import HOME_DEG, LIMITS_DEG
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 

@@ -34,18 +34,18 @@ class Bench:
         ipoc = self.ipoc if ipoc is None else ipoc
         return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/>{digout}<IPOC>{ipoc}</IPOC></Rob>'.encode()
 
-    def cycle(self, data=None, source=SOURCE, step=4, accepted=True):
-        """The correction answered, or None."""
+    def cycle(self, data=None, source=SOURCE, step=4, accepted=True, counted=None):
+        """The correction answered, or None; an answer without one asks for what the controller has. counted: whether the controller counts
+        the answer as late, by default where it does not take it."""
         self.ipoc += step
         answer = self.reply(self.telegram() if data is None else data, source)
         if answer is None:
             return None
-        correction = tuple(float(v) for v in re.findall(rb'A\d="([^"]+)"', answer))
+        correction = tuple(float(v) for v in re.findall(rb'A\d="([^"]+)"', answer)) or self.sent[-1]
         if accepted:
             self.sent.append(correction)
             self.q = tuple(s + c for s, c in zip(START, correction, strict=True))
-        else:
-            self.delay += 1
+        self.delay += not accepted if counted is None else counted
         return correction
 
     def reply(self, data, source=SOURCE, in_time=True):

@@ -62,7 +62,7 @@ def test_an_output_that_the_plan_does_not_name_is_not_switched(bench, output):
 
 
 def test_one_that_does_not_change_is_said(bench):
-    bench.controller.outlet.inject({"stuck": 1.0})
+    bench.controller.faults.inject({"stuck": 1.0})
     bench.ticks(1)
     switch(bench, 1, 3, True)
     assert (bench.last("Switched"), bench.last("SwitchCode")) == (1, 17)
@@ -85,7 +85,7 @@ def test_whatever_stops_the_arm_switches_it_off(bench, end):
         Interpreter(bench.controller.program, "mbcacq_link_init").tick(0.0)
     else:
         bench.controller.system.user_saf = end != "guard"
-        bench.controller.outlet.inject({"emergency_stop": float(end == "emergency stop")})
+        bench.controller.faults.inject({"emergency_stop": float(end == "emergency stop")})
         bench.ticks(6)
         assert out(bench) == {5}
         switch(bench, 2, 3, True)

@@ -156,7 +156,7 @@ def test_a_lost_connection_brakes_the_arm_and_the_channel_is_made_new(bench, end
     if end == "close":
         one.socket.close()
     else:
-        one.controller.outlet.inject({"reset": 1})
+        one.controller.faults.inject({"reset": 1})
     opened = one.controller.channel.opened
     one.ticks(150)
     assert one.controller.system.rob_stopped
@@ -240,11 +240,11 @@ def test_endless_commands_close_the_connection(bench):
 def test_emergency_stop_and_a_new_start(bench):
     one = bench()
     moving(one)
-    one.controller.outlet.inject({"emergency_stop": 1})
+    one.controller.faults.inject({"emergency_stop": 1})
     one.ticks(150)
     assert one.controller.system.rob_stopped
     assert (one.last("EmergencyStop"), one.last("Ready"), one.last("Drives")) == (1, 0, 0)
-    one.controller.outlet.inject({"emergency_stop": 0, "restart": 1})
+    one.controller.faults.inject({"emergency_stop": 0, "restart": 1})
     one.say(kind=0, ticks=30)
     said = one.hear()
     assert 'Session="2"' in said

@@ -51,7 +51,7 @@ class Client:
             self.newest()
             self.answer()
             try:
-                return wait(lambda: krc.counters()["active"], 0.1)
+                return wait(lambda: krc.report()["active"], 0.1)
             except AssertionError:
                 return False
 
@@ -102,7 +102,7 @@ def test_it_speaks_first_and_keeps_offering_without_counting(start):
     telegrams = [client.receive() for _ in range(40)]
     assert {b - a for a, b in zip([t[1] for t in telegrams], [t[1] for t in telegrams][1:], strict=False)} == {4}
     assert {t[2] for t in telegrams} == {0}
-    assert krc.counters()["late"] == 0
+    assert krc.report()["late"] == 0
 
 
 def test_the_compact_telegram_to_the_byte(start):
@@ -167,9 +167,9 @@ def test_late_packets_counted_in_total_or_in_a_row(start, counting, ends):
     client.begin(krc)
     for i in range(60):
         client.exchange(**({"ipoc": 1} if i % 3 == 2 else {}))
-        if krc.counters()["sessions"] > 1:
+        if krc.report()["sessions"] > 1:
             break
-    assert (wait(lambda: krc.counters()["late"] >= 6 and krc.counters())["sessions"] > 1) is ends
+    assert (wait(lambda: krc.report()["late"] >= 6 and krc.report())["sessions"] > 1) is ends
 
 
 def test_a_missing_value_holds_or_falls_to_zero(start):
@@ -189,7 +189,7 @@ def test_the_correction_is_clamped_silently(start):
     for i in range(200):
         data, _, delay = client.exchange(ak(0.01 * i))
     assert (axis(data), delay) == (pytest.approx(0.5, abs=1e-5), 0)
-    assert krc.counters()["ended"] == 0
+    assert krc.report()["ended"] == 0
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_the_controller_stops_by_itself(start, settings, bodies, fault):
         if krc.state.read().fault:
             break
     assert wait(lambda: krc.state.read().fault) == fault
-    wait(lambda: krc.counters()["sessions"] == 2)
+    wait(lambda: krc.report()["sessions"] >= 2)
     data, _, delay = client.receive()  # offered again, with a new start
     assert (axis(data), delay) == (axis(data, element=b"ASPos"), 0)
 
@@ -216,7 +216,7 @@ def test_stop_ends_the_session(start):
     krc, client = start()
     client.begin(krc)
     client.exchange(b"<Stop>1</Stop>")
-    wait(lambda: krc.counters()["sessions"] == 2)
+    wait(lambda: krc.report()["sessions"] >= 2)
     assert krc.state.read().fault == ""
 
 

@@ -5,8 +5,7 @@ import pytest
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S, START_DEG, settings
 from kuka_bench import HOME_DEG, LIMITS_DEG, motion_limits, wait
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.rtde import FakeUrController
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
@@ -34,7 +33,7 @@ def test_rsi_answers_with_corrections_of_zero_while_another_program_moves_the_ar
             wait(lambda: np.abs(robot.state().q - target).max() < 2e-5)
             robot.stop()
             wait(lambda: len(robot.cycles()) > 0)
-            before = krc.counters()
+            before = krc.report()
         assert before["ended"] == 0
         assert before["active"] == 1  # nor does it end the session that another program needs
         log = krc.log()

@@ -34,7 +34,7 @@ def test_a_motion_obeys_its_limits_and_arrives(cell, realtime):
     state = arrive(robot)
     np.testing.assert_allclose(state.q, target, atol=2e-4)
     path, ipoc = corrections(krc)
-    undisturbed = krc.counters()["late"] == 0  # by the clock, a busy computer may lose a cycle; then the arm waits and goes on
+    undisturbed = krc.report()["late"] == 0  # by the clock, a busy computer may lose a cycle; then the arm waits and goes on
     assert undisturbed or realtime
     assert np.abs(np.diff(path, axis=0)).max() <= 90.0 * CYCLE_S * 1.001 + 2 * ROUNDING
     assert np.abs(np.diff(path, axis=0)).max() / CYCLE_S > 85.0  # the fastest axis does use its speed
@@ -119,8 +119,8 @@ def test_targets_outside_the_joint_limits_never_move_anything(cell):
         target[axis] = angle
         with pytest.raises(SafetyStop, match=f"A{axis + 1} would go to .* nothing was moved"):
             robot.move_to(np.radians(target), motion_limits())
-    before = krc.counters()["answers"]
-    wait(lambda: krc.counters()["answers"] > before + 30)
+    before = krc.report()["answers"]
+    wait(lambda: krc.report()["answers"] > before + 30)
     sent = corrections(krc)[0]
     assert not sent[:, :5].any()
     assert np.abs(sent).max() <= 0.004  # the probe of the last axis
@@ -148,7 +148,7 @@ def test_closing_while_moving_brakes_and_ends_the_session(cell):
     wait(lambda: np.degrees(robot.state().q[0]) > 5.0)
     robot.close()
     robot.close()
-    wait(lambda: krc.counters()["sessions"] == 2)  # the program ended by Stop, and was started again
+    wait(lambda: krc.report()["sessions"] >= 2)  # the program ended by Stop, and was started again
     assert krc.state.read().standstill
     path, _ = corrections(krc)
     moving = path[: np.flatnonzero(np.diff(path[:, 0]) > 0)[-1] + 2]

@@ -92,7 +92,7 @@ def test_a_gap_that_the_controller_rides_out_is_ridden_out_from_rest(moving):
     assert moving.shared.fault() is None
     path = np.array(moving.sent[before - 1 :])[:, 0]
     assert path[-1] == pytest.approx(FAR[0], abs=1e-6)
-    first = np.diff(path)[:10] / T
+    first = np.diff(path[np.flatnonzero(np.diff(path))[0] :])[:10] / T
     assert np.all(first <= ACCELERATION * T * np.arange(1, 11) + 1e-3)  # the arm stood: it must not be asked for full speed at once
 
 
@@ -100,7 +100,7 @@ def test_a_gap_that_the_controller_rides_out_is_ridden_out_from_rest(moving):
 def test_after_a_short_gap_the_motion_goes_on_from_rest(moving, cycles):
     moving.ipoc, moving.delay = moving.ipoc + cycles * 4, moving.delay + cycles
     held = moving.sent[-1][0]
-    steps = np.diff([held, *(moving.cycle()[0] for _ in range(20))])
+    steps = np.diff([held, *(moving.cycle()[0] for _ in range(60))])
     assert np.diff([0.0, *steps]).max() <= ACCELERATION * T**2 * 1.001 + 4e-6
     assert steps[-1] > 0.0
 

@@ -73,7 +73,7 @@ def test_rsipi_moves_our_fake(tmp_path):
         limits_deg=LIMITS_DEG,
     ) as krc:
         done = subprocess.run([sys.executable, "client.py", "config.xml"], cwd=tmp_path, capture_output=True, text=True, timeout=900)
-        counters = krc.counters()
+        counters = krc.report()
         assert done.returncode == 0, done.stderr
         seen = json.loads([line for line in done.stdout.splitlines() if line.startswith("{")][-1])
     assert seen == pytest.approx({"A1": 11.0, "A2": -90.0, "A3": 90.0, "A4": 0.0, "A5": 0.0, "A6": 4.0}, abs=1e-3)

@@ -65,8 +65,8 @@ def test_a_few_lost_packets_are_survived_and_never_make_the_arm_jump(cell, fault
     krc.inject(**fault)
     robot.move_to(np.radians(HOME_DEG + [30.0, 0, 0, 0, 0, 0]), motion_limits())
     arrive(robot)
-    assert krc.counters()["late"] > 3
-    assert krc.counters()["sessions"] == 1
+    assert krc.report()["late"] > 3
+    assert krc.report()["sessions"] == 1
 
 
 def test_a_telegram_from_another_port_is_dropped(cell):
@@ -118,7 +118,7 @@ def test_a_wrong_sen_type_is_found(cell):
         robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "sen_type": "Other"})
         with pytest.raises(ConnectError, match=r"discards every answer .* sen_type 'Other'"):
             robot.connect()
-        assert krc.counters()["answers"] == 0
+        assert krc.report()["answers"] == 0
 
 
 def test_a_wrong_name_of_the_correction_is_found(cell):
@@ -216,7 +216,7 @@ os._exit(9)
 """
     with FakeKrc(client=("127.0.0.1", port), realtime=False, start_deg=tuple(HOME_DEG), limits_deg=LIMITS_DEG, log=True) as krc:
         assert subprocess.run([sys.executable, "-c", program], timeout=900).returncode == 9
-        wait(lambda: krc.counters()["sessions"] == 2)
+        wait(lambda: krc.report()["sessions"] >= 2)
         assert krc.state.read().standstill
         assert 5.0 < np.degrees(krc.state.read().q[0]) < 145.0
         log = krc.log()

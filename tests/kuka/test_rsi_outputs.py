@@ -96,8 +96,8 @@ def test_a_controller_that_switches_nothing_is_named_and_asked_no_longer(cell):
     with pytest.raises(DeviceTimeout, match="output 3 was switched on, but the controller reports it off; is it write-protected"):
         robot.set_output(3, True)
     for stuck in (0, 0):  # what was still on its way came while it was stuck
-        before = krc.counters()["cycles"]
-        wait(lambda before=before: krc.counters()["cycles"] > before + 50)
+        before = krc.report()["cycles"]
+        wait(lambda before=before: krc.report()["cycles"] > before + 50)
         krc.inject(stuck=stuck)
     assert krc.state.output(3) == (False, 0)
 

@@ -69,10 +69,17 @@ def test_lost_answers_counted_both_ways(cell, counting, late_limit, kind):
     robot.move_to(np.radians(HOME_DEG + [100.0, 0, 0, 0, 0, 0]), motion_limits())
     if kind is None:
         np.testing.assert_allclose(np.degrees(arrive(robot).q[0]), 100.0, atol=0.02)
-        assert krc.counters()["late"] > 12
-        assert krc.counters()["sessions"] == 1
+        assert krc.report()["late"] > 12
+        assert krc.report()["sessions"] == 1
     else:
         error = until_error(robot)
         assert isinstance(error, kind)
         assert wait(lambda: krc.state.read().standstill)
         assert np.degrees(krc.state.read().q[0]) < 99.0
+
+
+def test_external_axes_are_recorded_where_they_are_sent(cell):
+    _, robot = cell({"layout": "sdk", "external_deg": (1.0, -2.0, 3.0, 4.5, 0.0, 6.0)})
+    columns = robot.cycles().columns
+    np.testing.assert_allclose(columns["external_axes"], np.tile([1.0, -2.0, 3.0, 4.5, 0.0, 6.0], (len(columns["ipoc"]), 1)))
+    assert "external_axes" in {field.name for field in robot.describe().fields}

@@ -17,7 +17,7 @@ from mbcacq.workflow import acquire
 def short(plan):
     few_views(plan)
     plan["scanner"] |= {"reconnect_s": 20.0}
-    plan["scanner"]["options"] |= {"timeout_s": 1.5, "retries": 0}
+    plan["scanner"]["options"] |= {"timeout_s": 1.5}
     plan["sensors"] = [
         {
             "driver": "modbus",

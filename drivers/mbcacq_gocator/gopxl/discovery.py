@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import struct
-import time
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Any
@@ -98,29 +97,9 @@ def find(wait_s: float, address: str = BROADCAST, port: int = PORT, listen_port:
     The vendor's client hears only what comes to its own port 3320, and sensors may answer there; so the request is sent from
     it, or from any port where another program has it.
     """
-    found: dict[tuple[int, str, int], FoundInstance] = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        _bind(sock, listen_port)
-        broadcast.send(sock, request(), address, port)
-        deadline = time.monotonic() + wait_s
-        while (left := deadline - time.monotonic()) > 0:
-            sock.settimeout(left)
-            try:
-                data, sender = sock.recvfrom(MAX_DATAGRAM + 1)
-                instance = parse(data, sender[0])
-            except (TimeoutError, ProtocolError):
-                continue
-            found[instance.serial, instance.address, instance.control_port] = instance
+    instances = broadcast.ask([request()], address, port, wait_s, parse, listen_port)
+    found = {(one.serial, one.address, one.control_port): one for one in instances}
     return [found[key] for key in sorted(found)]
-
-
-def _bind(sock: socket.socket, listen_port: int) -> None:
-    try:
-        sock.bind(("", listen_port))
-    except OSError:  # another program has it for itself
-        sock.bind(("", 0))
 
 
 def located(options: GoPxLOptions) -> GoPxLOptions:

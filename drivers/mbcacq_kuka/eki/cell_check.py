@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mbcacq.devices import DeviceFault, IdentityError, same_model
 from mbcacq_kuka.eki.options import EkiOptions, mode_name
@@ -73,7 +74,8 @@ def check_flange(where: str, options: EkiOptions, hello: Hello, state: State) ->
     """The controller's own forward kinematics must agree with the plan's robot: finds wrong machine data and wrong models."""
     if options.kinematics is None:
         return
-    reported = _invert(_frame(hello.robroot)) @ _frame(hello.base_frame) @ _frame(state.cart) @ _invert(_frame(hello.tool_frame))
+    robroot, tool = np.linalg.inv(_frame(hello.robroot)), np.linalg.inv(_frame(hello.tool_frame))
+    reported = robroot @ _frame(hello.base_frame) @ _frame(state.cart) @ tool
     away = float(np.linalg.norm(reported[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
     if not away <= options.flange_tolerance_mm:
         raise IdentityError(
@@ -94,7 +96,7 @@ def frame_distance(a: Sequence[float], b: Sequence[float]) -> str | None:
     """How far two frames are apart, in words; None if they agree."""
     A, B = _frame(a), _frame(b)
     shift = float(np.linalg.norm(A[:3, 3] - B[:3, 3]))
-    turn = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0))))
+    turn = float(np.degrees(Rotation.from_matrix(A[:3, :3].T @ B[:3, :3]).magnitude()))
     return None if shift <= _FRAME_MM and turn <= _FRAME_DEG else f"{shift:.2f} mm and {turn:.2f}°"
 
 
@@ -102,30 +104,13 @@ def flange(rows: Sequence[Sequence[float]], axis_deg: Sequence[float]) -> np.nda
     """T_base_flange (4, 4), mm: product of Rz(sign q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) over the rows (modified DH, angles deg)."""
     T = np.eye(4)
     for angle, (sign, theta, d, a, alpha, beta) in zip(axis_deg, rows, strict=True):
-        T = T @ _turn(2, sign * angle + theta) @ _shift(a, 0.0, d) @ _turn(0, alpha) @ _turn(1, beta)
-    return T
-
-
-def _turn(axis: int, angle_deg: float) -> np.ndarray:
-    T, (i, j) = np.eye(4), ((1, 2), (2, 0), (0, 1))[axis]
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
-    return T
-
-
-def _shift(x: float, y: float, z: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
+        T = T @ _frame((0.0, 0.0, d, sign * angle + theta, 0.0, 0.0)) @ _frame((a, 0.0, 0.0, 0.0, 0.0, alpha))
+        T = T @ _frame((0.0, 0.0, 0.0, 0.0, beta, 0.0))
     return T
 
 
 def _frame(pose: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C -> (4, 4): A about z, then B about the new y, then C about the new x."""
-    x, y, z, a, b, c = pose
-    return _shift(x, y, z) @ _turn(2, a) @ _turn(1, b) @ _turn(0, c)
-
-
-def _invert(T: np.ndarray) -> np.ndarray:
-    back = np.eye(4)
-    back[:3, :3], back[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
-    return back
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("ZYX", pose[3:], degrees=True).as_matrix(), pose[:3]
+    return T

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
-import threading
 import time
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,12 +29,9 @@ from mbcacq.devices import (
     signals_deferred,
 )
 from mbcacq_kuka.controller_files import rsi_files
-from mbcacq_kuka.eki.client import EkiClient
-from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.option_values import check_output
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
 from mbcacq_kuka.rsi.options import RsiOptions, parse
-from mbcacq_kuka.rsi.recovery import PendingMove, off_path
 from mbcacq_kuka.rsi.shared import ALL_OUTPUTS, ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
 _FAULTS: dict[str, type[MbcacqError]] = {
@@ -59,7 +54,6 @@ _AFTER = {
     "protocol": "the arm was stopped",
     "implausible": "the arm was stopped",
 }
-_SESSION_ENDED = ("silence", "restart")  # faults after which the controller may offer a new session
 _POLL_S = 0.002
 _FINE_DECIMALS = 4  # with which rounding is below the repeatability of any joint
 _log = logging.getLogger("mbcacq.kuka_rsi")
@@ -88,13 +82,7 @@ class KukaRsi(ContextDevice):
         self._options = parse(name, options)
         self._limits = np.array(self._options.limits_deg)
         self._process: CycleProcess | None = None
-        self._kept: deque[Cycles] = deque()  # of sessions that are over
-        self._eki: EkiClient | None = None
         self._move_seq = 0
-        self._pending: PendingMove | None = None
-        self._mover: int | None = None  # the thread that moves the arm
-        self._recovering = threading.Lock()
-        self._standing: CycleProcess | None = None  # the session before the one that is being waited for
         self._error: MbcacqError | None = None
         self.port = self._options.port
         self.real_time = False
@@ -134,11 +122,10 @@ class KukaRsi(ContextDevice):
         """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable),
         SystemRefused (no shared memory)."""
         self.close()
-        self._error, self._move_seq, self._pending, self._mover = None, 0, None, None
-        self._kept.clear()
+        self._error, self._move_seq = None, 0
         atexit.register(self.close)
         try:
-            self._open(self._options.connect_timeout_s)
+            self._open()
         except BaseException:
             self.close()
             raise
@@ -148,11 +135,8 @@ class KukaRsi(ContextDevice):
         any fault met so far."""
         if self._options.follow:
             raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
-        self._mover = threading.get_ident()
         process = self._check()
-        target = self._checked(process, q)
-        self._pending = PendingMove(process.last()["q"], target, self._command(target, limits))
-        self._move_seq = process.send(self._pending.command)
+        self._move_seq = process.send(self._command(self._checked(process, q), limits))
 
     def set_output(self, number: int, value: bool) -> None:
         """Switch $OUT[number], one of the option digital_outputs; returns once the controller reports it so. It is switched off by
@@ -188,28 +172,20 @@ class KukaRsi(ContextDevice):
         return RobotState(row["time_s"], np.radians(row["q"]), moving, arrived)
 
     def cycles(self) -> Cycles:
-        if self._kept:
-            return self._kept.popleft()
-        process = self._process
-        return Cycles({}) if process is None else process.drain()
+        return Cycles({}) if self._process is None else self._process.drain()
 
     def stop(self) -> None:
-        self._pending = None
         if self._process is not None:
             self._process.switch(ALL_OUTPUTS, False)
             self._process.send(RsiCommand(STOP))
 
     def close(self) -> None:
         atexit.unregister(self.close)
-        self._pending = None
         if self._process is not None:
             self._process.close()
-        eki, self._eki = self._eki, None
-        if eki is not None:
-            eki.close()
 
-    def _open(self, wait_s: float) -> None:
-        """A new session with the controller. Raises ConnectError, ProtocolError, SystemRefused."""
+    def _open(self) -> None:
+        """A session with the controller. Raises ConnectError, ProtocolError, SystemRefused."""
         try:
             with signals_deferred():
                 process = self._process = CycleProcess()
@@ -224,14 +200,12 @@ class KukaRsi(ContextDevice):
                 "is another program using the port (KUKA's TestServer, a second mbcacq), is the address this computer's?"
             )
         self.port, self.real_time = process.port, process.real_time
-        if self._options.eki:
-            self._eki = start_by_eki(self._name, self._model, self._options.eki, self._options.cycle_ms, wait_s)
-        deadline = time.monotonic() + wait_s
+        deadline = time.monotonic() + self._options.connect_timeout_s
         while not process.connected:
             if (error := self._find_error(process, connecting=True)) is not None:
                 raise error
             if time.monotonic() > deadline:
-                raise ConnectError(f"robot '{self._name}': {self._nothing_came(process, wait_s)}")
+                raise ConnectError(f"robot '{self._name}': {self._nothing_came(process)}")
             time.sleep(_POLL_S)
         process.begin()
         if process.decimals < _FINE_DECIMALS:
@@ -244,9 +218,10 @@ class KukaRsi(ContextDevice):
                 10.0**-process.decimals,
             )
 
-    def _nothing_came(self, process: CycleProcess, wait_s: float) -> str:
+    def _nothing_came(self, process: CycleProcess) -> str:
         """Why the session has not begun in time: what came, and what did not."""
         heard, sender, discarded = process.noted()
+        wait_s = self._options.connect_timeout_s
         if not heard:
             return (
                 f"no RSI telegram arrived on {self._options.bind}:{self.port} within {wait_s:g} s; start the RSI program on the "
@@ -269,21 +244,11 @@ class KukaRsi(ContextDevice):
         return RsiCommand(MOVE, target.tolist(), speed, acceleration, jerk, float(np.degrees(limits.tolerance)), limits.settle_s)
 
     def _check(self) -> CycleProcess:
-        """The running session. Raises what has stopped the arm; waits, where the controller's program may be started again."""
+        """The running session. Raises what has stopped the arm."""
         process = self._process
-        if self._recovering.locked() and self._mover != threading.get_ident():
-            process = self._standing  # whoever only watches the arm sees it standing
-            if process is not None:
-                return process
         if process is None or not process.open:
             raise self._error or ConnectError(f"robot '{self._name}' is not connected; call connect first")
-        if self._error is None:
-            error = self._find_error(process)
-            if error is not None and self._may_recover(process):
-                if self._mover in (None, threading.get_ident()):
-                    return self._recover(process, error)
-                return process
-            self._error = error
+        self._error = self._error or self._find_error(process)
         if self._error is not None:
             raise self._error.with_traceback(None)
         return process
@@ -300,49 +265,6 @@ class KukaRsi(ContextDevice):
                 f"robot '{self._name}': {process.lost} cycles were lost because they were not fetched in time; the arm was stopped"
             )
         return None
-
-    def _may_recover(self, process: CycleProcess) -> bool:
-        fault = process.fault()
-        return self._options.recover_s > 0 and process.connected and fault is not None and fault["kind"] in _SESSION_ENDED
-
-    def _recover(self, process: CycleProcess, error: MbcacqError) -> CycleProcess:
-        """Wait for the controller's next session, and end the motion that was interrupted. Raises what ended the run after all."""
-        self._standing = process
-        with self._recovering:
-            if self._process is not process and self._process is not None:
-                return self._process  # another thread was first
-            where, pending = process.last()["q"], self._pending
-            _log.warning(
-                "%s. Release the emergency stop, acknowledge, start the RSI program again within %g s: the arm then goes on",
-                error,
-                self._options.recover_s,
-            )
-            try:
-                process.close()
-                self._kept.append(process.drain())
-                self._open(self._options.recover_s)
-                return self._go_on(where, pending)
-            except MbcacqError as second:
-                self._error = type(error)(f"{error}; and it could not go on: {second}")
-                raise self._error from error
-
-    def _go_on(self, where: np.ndarray, pending: PendingMove | None) -> CycleProcess:
-        process = self._process
-        assert process is not None  # opened just now
-        if off := off_path(process.start_deg, where, pending):
-            raise SafetyStop(f"robot '{self._name}': {off}; start the run again")
-        self._move_seq = 0
-        if pending is None:
-            return process
-        self._checked(process, np.radians(pending.target))
-        self._pending, self._move_seq = pending, process.send(pending.command)
-        while True:
-            row = process.last()
-            if row["command"] >= self._move_seq and int(row["flags"]) & ARRIVED:
-                return process
-            if (error := self._find_error(process)) is not None:
-                raise error
-            time.sleep(_POLL_S)
 
     def _checked(self, process: CycleProcess, q: np.ndarray) -> np.ndarray:
         """A target (6,) rad in deg. Raises ConfigError, SafetyStop."""

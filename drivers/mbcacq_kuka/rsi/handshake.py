@@ -247,7 +247,8 @@ def _refuse_missing_outputs(parser: Parser, numbers: Sequence[int]) -> None:
             raise SessionFault(
                 "connect",
                 f"its telegrams do not report output {number} ({REPORT_ELEMENT}), so the files on the controller are older than the plan's "
-                "option digital_outputs and would not switch it; copy those that `mbcacq controller-files` writes. Nothing was moved",
+                "option digital_outputs, or of RSI before 4.1, and would not switch it; copy those that `mbcacq controller-files` writes. "
+                "Nothing was moved",
                 muted=True,
             )
 

@@ -12,7 +12,6 @@ from mbcacq.devices import parse_options
 from mbcacq_kuka.option_values import KukaOptions, OneOrSix
 from mbcacq_kuka.rsi.telegram import Composer
 
-KUKA_SERVER = {"sen_type": "KROSHU", "port": 59152}  # what the RSI programs of KUKA's EKI server are configured for
 _LONGEST = 1e6
 FASTEST_DEG_S = 800.0  # of an axis whose largest speed is not given: faster than any of KUKA's
 _FASTEST_START_S, _FASTEST_RISE_S = 0.05, 0.005  # to full speed, to full acceleration, where these are not given
@@ -30,14 +29,8 @@ class RsiOptions(KukaOptions):
     beyond them is sent. Without them the axes are taken for very fast ones. correction_limit_deg: largest correction of each axis
     the controller allows, one number or six, or None if the KRL program opens the full range (ours does).
 
-    eki: 'host' or 'host:port' of KUKA's EKI server program, to check the robot's model, switch the drives on and start RSI; '' if the
-    operator starts the RSI program by hand.
-
     late_limit: answers the controller may discard within late_window_s of its clock (0: within the session). ride_out_s: a gap in the
     telegrams of up to this length is taken for the network's; after a longer one the controller is expected to have ended its session.
-    recover_s: after the controller fell silent, as after an emergency stop, wait so long for its program to be started again, and go
-    on; 0: end the run.
-
     follow_tolerance_deg, follow_cycles, follow_lag_s: the arm may leave the band of the commands of the last follow_lag_s by so much
     for so long. check_set_point: refuse to start on a controller that already applies a correction. cpu: processor core of the
     cycle process; None: any.
@@ -54,7 +47,6 @@ class RsiOptions(KukaOptions):
     stop_element: str = "Stop"
     stop_at_close: bool = Field(default=True, strict=True)
     external_axes: bool = Field(default=False, strict=True)
-    eki: str = Field(default="", pattern=r"^(?:[^:\s]+(?::\d{1,5})?)?$")
     speed_deg_s: OneOrSix | None = None
     acceleration_deg_s2: OneOrSix | None = None
     jerk_deg_s3: OneOrSix | None = None
@@ -62,7 +54,6 @@ class RsiOptions(KukaOptions):
     late_limit: int = Field(default=90, ge=1, le=1_000_000_000, strict=True)
     late_window_s: float = Field(default=1.0, ge=0, le=_LONGEST, strict=True)
     ride_out_s: float = Field(default=0.3, ge=0.012, le=10, strict=True)
-    recover_s: float = Field(default=0.0, ge=0, le=_LONGEST, strict=True)
     follow_tolerance_deg: float = Field(default=0.5, ge=1e-6, le=360, strict=True)
     follow_cycles: int = Field(default=25, ge=1, le=100_000, strict=True)
     follow_lag_s: float = Field(default=0.1, ge=0.012, le=2, strict=True)
@@ -79,10 +70,6 @@ class RsiOptions(KukaOptions):
             raise ValueError(
                 f"controller_ip is missing; on {self.bind} any computer of the network could send telegrams, so "
                 "give the address of the controller's RSI interface"
-            )
-        if self.eki and self.recover_s:
-            raise ValueError(
-                "eki and recover_s exclude each other: after an emergency stop a person must start the RSI program; leave one of them out"
             )
         return self
 
@@ -102,7 +89,7 @@ class RsiOptions(KukaOptions):
 
 def parse(name: str, options: Mapping[str, Any]) -> RsiOptions:
     """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(RsiOptions, f"robot '{name}'", {**(KUKA_SERVER if options.get("eki") else {}), **options})
+    return parse_options(RsiOptions, f"robot '{name}'", options)
 
 
 def on_loopback(address: str) -> bool:

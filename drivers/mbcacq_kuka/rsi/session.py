@@ -2,8 +2,8 @@
 
 Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They advance by one set
 point (see set_points) an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. A telegram that was
-kept on its way (see punctuality) is answered with the set point before it. No controller takes that answer, and one that hides it in its
-Delay must not fall behind the set points.
+kept on its way (see punctuality) is answered without one: no controller takes that answer, and one that hides it in its Delay must not fall
+behind the set points.
 
 The first fault is kept. It brakes the arm, then ends the controller's session. The session is ended at once if the arm does not follow its
 commands. Nothing is answered any more if the controller may have begun a new one. docs/explanation/corrections.md has the argument.
@@ -180,7 +180,7 @@ class RsiSession:
                 muted=True,
             )
         if kind == REPEATED and silent > WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
-            return self._compose(digits, self._points.sent, self._stop)
+            return self._compose(digits, self._points.answer, self._stop)
         if kind != NEXT:
             return None
         held_up = self._punctuality.held_up(now)
@@ -212,11 +212,10 @@ class RsiSession:
         self._unanswered += steps - 1
         delay = nan if layout.delay is None else row[layout.delay]
         rise = self._lateness.rise(delay, self._sequence.count * layout.tick_s) if isfinite(delay) else 0.0
-        rejected = rise > self._unanswered
-        points.reject() if rejected else points.accept()
-        if rejected or self._unanswered:
-            points.go_on_from_rest()
-        elif in_time and not taken.held_up:
+        if rise or self._unanswered or taken.held_up or not in_time:
+            points.doubt()
+        else:
+            points.accept()
             points.advance()
         self._unanswered = 0 if in_time else self._unanswered + 1
         self._taken = taken
@@ -228,7 +227,7 @@ class RsiSession:
                     f"{self._settings['late_limit']}); check the network, the load of this computer and sen_type",
                 )
             )
-        return self._compose(digits, self._points.sent, self._stop)
+        return self._compose(digits, points.answer, self._stop)
 
     def _begin(self, layout: Layout) -> None:
         settings = self._settings
@@ -270,7 +269,7 @@ class RsiSession:
             self._ready = None
             return
         self._poll_command(now)
-        self._points.prepare(self._measured)
+        self._points.prepare(self._measured, self._standstill.mean if self._standstill.cycles >= _REST_CYCLES else None)
         if self._muted:
             return
         self._stop = self._ending(now)
@@ -303,11 +302,11 @@ class RsiSession:
         assert self._layout is not None  # as above
         return self._layout
 
-    def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
+    def _compose(self, digits: bytes, position: tuple[float, ...] | None, stop: bool = False) -> bytes:
         outputs = self._outputs if self._switches else 0
         if self._follows or self._unproven and self._at_once:
             return self._composer.compose(ZERO, digits, stop, outputs)
-        correction = tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        correction = None if position is None else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
         return self._composer.compose(correction, digits, stop, outputs)
 
     @property

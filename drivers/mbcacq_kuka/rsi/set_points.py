@@ -1,12 +1,17 @@
 """The set points of a session: which one the controller has, which it was sent last, and which it gets next.
 
-They advance by one an answered telegram. The motion goes on from rest at the set point before, if the controller held that one. None is
-sent before it was seen to be within the axes' limits, and no motion begins before the controller was seen to take corrections as absolute.
+They advance by one an answered telegram. None is sent before it was seen to be within the axes' limits, and no motion begins before the
+controller was seen to take corrections as absolute.
+
+If a telegram is missing, or the controller counts an answer as late, nobody knows whether it has the last set point or the one before.
+Nothing is inferred from its count: the answers carry no correction, so that it holds what it has, until the arm is seen to stand at one of
+the two. The motion goes on from there, from rest. So no two set points of the controller differ by more than the limits allow, whatever it
+counts; but for the hold itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from mbcacq_kuka.rsi.handshake import Layout, SessionFault
@@ -15,9 +20,11 @@ from mbcacq_kuka.rsi.plausibility import proof_fault
 from mbcacq_kuka.rsi.shared import RsiCommand
 from mbcacq_kuka.rsi.step_limits import StepLimits
 
+MOST_DOUBTS = 200  # of a motion: each takes a tenth of a second, and more of them are no network that can be worked with
+
 
 class SetPoints:
-    """``sent`` last, ``used`` by the controller and ``next``: joints (6,) deg; each with whether the arm moves there.
+    """``sent`` last, ``used`` by the controller before, and ``next``: joints (6,) deg; each with whether the arm moves there.
 
     Parameters
     ----------
@@ -37,7 +44,9 @@ class SetPoints:
         self._motion = RsiMotion(layout.reference, cycle_s, joint_limits)
         self._limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], cycle_s)
         self._proof = None if layout.carries_out else layout.proof(settings)
-        self.sent = self.used = self.next = layout.reference
+        self._doubt: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # the controller has one of these
+        self._doubts = 0  # of this motion
+        self.sent = self.used = self._next = layout.reference
         self.sent_moving = self.used_moving = self._next_moving = self._frozen = False
         self._consumed = True
 
@@ -50,19 +59,39 @@ class SetPoints:
     def _moves(self) -> bool:
         return self._motion.moving or self._proof is not None and self._proof.wanted is not None
 
+    @property
+    def answer(self) -> tuple[float, ...] | None:
+        """What goes to the controller once more; None: it is to keep what it has."""
+        return None if self._doubt is not None else self.sent
+
+    @property
+    def next(self) -> tuple[float, ...] | None:
+        """What goes to the controller next, as ``answer``."""
+        return None if self._doubt is not None else self._next
+
     # what an answer has done
 
     def accept(self) -> None:
         """The controller has taken what was sent."""
-        self.used, self.used_moving = self.sent, self.sent_moving
-
-    def reject(self) -> None:
-        """The controller did not take what was sent: it has the set point before."""
-        self.sent, self.sent_moving = self.used, self.used_moving
+        if self._doubt is None:
+            self.used, self.used_moving = self.sent, self.sent_moving
 
     def advance(self) -> None:
         """The prepared set point goes to the controller."""
-        self.sent, self.sent_moving, self._consumed = self.next, self._next_moving, True
+        if self._doubt is None:
+            self.sent, self.sent_moving, self._consumed = self._next, self._next_moving, True
+
+    def doubt(self) -> None:
+        """The controller has ``sent``, or ``used`` and did not take what was sent."""
+        if self._doubt is not None:
+            return  # it has what it had
+        if self._proof is not None or self._motion.reaches(self.used, self.sent):
+            self.go_on_from_rest()
+            return
+        self._doubt, self.sent_moving, self._doubts = (self.used, self.sent), False, self._doubts + 1
+        if self._doubts > MOST_DOUBTS:
+            late = "telegrams or answers were late or lost in this motion, each of which held the arm for a moment"
+            self._fail(SessionFault("late", f"{self._doubts} {late}; check the network and the load of this computer"))
 
     def go_on_from_rest(self) -> None:
         """The controller held ``sent`` meanwhile. It gets it once more; from the next answer on the motion goes on."""
@@ -70,12 +99,26 @@ class SetPoints:
         self._limits.rest(self.sent)
         self.sent_moving, self._consumed = self._moves, True
 
+    def _look(self, standing: Sequence[float] | None) -> None:
+        """Decide where the controller is. standing: joints (6,) of an arm that stands, deg."""
+        assert self._doubt is not None  # prepare looked
+        if standing is None or self._frozen:
+            return
+        before, last = self._doubt
+        way = [b - a for a, b in zip(before, last, strict=True)]
+        share = sum(d * (q - a) for d, q, a in zip(way, standing, before, strict=True)) / sum(d * d for d in way)
+        self.sent, self._doubt = last if share > 0.5 else before, None
+        self.go_on_from_rest()
+        self.used, self.used_moving = self.sent, self.sent_moving
+
     # what comes next
 
-    def prepare(self, measured: tuple[float, ...]) -> None:
+    def prepare(self, measured: tuple[float, ...], standing: Sequence[float] | None) -> None:
         """The next set point, where the last one went out; one that is not within the limits is replaced by braking. measured: joints
-        (6,) deg."""
-        if not self._consumed:
+        (6,) deg; standing: their mean where the arm stands."""
+        if self._doubt is not None:
+            self._look(standing)
+        if not self._consumed or self._doubt is not None:
             return
         self._consumed = False
         try:
@@ -93,7 +136,7 @@ class SetPoints:
             if still:  # nothing is sent any more, the controller stops the arm
                 return
         self._limits.take(position)
-        self.next, self._next_moving = position, self._moves
+        self._next, self._next_moving = position, self._moves
 
     def _prove(self, measured: tuple[float, ...]) -> None:
         """No motion begins before an absolute correction was seen to be carried out. Raises MotionRefused."""
@@ -109,6 +152,7 @@ class SetPoints:
     def move(self, command: RsiCommand) -> None:
         """Begin a motion."""
         self.used_moving = self.sent_moving = True  # nothing of it has been sent yet
+        self._doubts = 0
         if refusal := self._limits.too_fast(command):
             self._fail(SessionFault("refused", refusal))
         elif self._proof is not None:

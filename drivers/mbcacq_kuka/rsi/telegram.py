@@ -186,7 +186,7 @@ def finite(values: Sequence[float]) -> bool:
 
 class Composer:
     """``<Sen>`` telegrams: ``compose(correction (6,) deg, IPOC digits)``. ``stop_element`` '' leaves that element out, and no ``outputs``
-    (numbers of $OUT) the one that switches them."""
+    (numbers of $OUT) the one that switches them. Without a correction (None) the controller keeps the one that it has (HOLDON="1")."""
 
     def __init__(self, sen_type: str, correction: str, stop_element: str, outputs: Sequence[int] = ()) -> None:
         for name in (sen_type, correction, stop_element or "Stop"):
@@ -197,13 +197,15 @@ class Composer:
         self._with_stop, self._bits = bool(stop), range(len(outputs))
         switched = " ".join(f'{output_attribute(number)}="%d"' for number in outputs)
         switch = f"<{SWITCH_ELEMENT} {switched}/>" if outputs else ""
-        self._head = f'<Sen Type="{sen_type}">{stop}<{correction} {axes}/>{switch}<IPOC>'.encode()
+        self._head, self._hold = (
+            f'<Sen Type="{sen_type}">{stop}{moves}{switch}<IPOC>'.encode() for moves in (f"<{correction} {axes}/>", "")
+        )
         self._last: tuple[object, bytes] = (None, b"")
 
-    def compose(self, degrees: Sequence[float], ipoc: bytes, stop: bool = False, outputs: int = 0) -> bytes:
+    def compose(self, degrees: Sequence[float] | None, ipoc: bytes, stop: bool = False, outputs: int = 0) -> bytes:
         """IPOC goes back digit for digit: a controller silently discards anything else. outputs: bit k is the output given as the k-th."""
         key = (degrees, stop, outputs)
         if self._last[0] != key:
-            values = (stop, *degrees) if self._with_stop else tuple(degrees)
-            self._last = (key, self._head % (*values, *[outputs >> k & 1 for k in self._bits]))
+            values = (*([stop] if self._with_stop else []), *(degrees or ()), *[outputs >> k & 1 for k in self._bits])
+            self._last = (key, (self._hold if degrees is None else self._head) % values)
         return self._last[1] + ipoc + b"</IPOC></Sen>"

@@ -16,9 +16,8 @@ from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.cell.simulated_robot import LedTarget
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
-from mbcacq_fakes.protocols.krc.server import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 from mbcacq_fakes.protocols.stall import HANGING_S
 
@@ -146,7 +145,7 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     except (TypeError, ValueError) as error:
         raise ConfigError(f"fake.robot: {error}; correct the plan") from error
     krc.start()
-    return krc, {"bind": client[0], "port": client[1], "controller_ip": "", "eki": ""}  # nor may a dry run speak to the real controller
+    return krc, {"bind": client[0], "port": client[1], "controller_ip": ""}
 
 
 def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:

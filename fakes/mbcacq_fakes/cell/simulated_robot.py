@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import ruckig
 
 from mbcacq.devices import ConfigError, ContextDevice, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop, joint_target
+from mbcacq_fakes.dynamics.timed_arm import TimedArm
 
 CYCLE_S = 0.004
 CYCLES_AT_ONCE = 25  # of a motion, per look at the state
@@ -77,13 +77,9 @@ class SimulatedRobot(ContextDevice):
             raise ConfigError("the simulated robot is there in a dry run only; run the plan with --dry-run, or name your arm's driver")
         with self._lock:
             reading = self._state.read()
-            self._q = np.array(reading.q, dtype=float)
-            self._time, self._arrivals = self._clock_start, reading.arrivals
-            self._qd, self._direction = np.zeros_like(self._q), np.zeros_like(self._q)
-            self._target, self._motion, self._since = self._q.copy(), None, 0.0
-            self._still_s, self._wanted, self._under_way, self._rows = 0.0, None, False, []
+            self._arm = TimedArm(np.array(reading.q), self._state, self._clock_start, reading.arrivals)
+            self._wanted, self._under_way, self._rows = None, False, []
             self._connected = True
-            self._publish()
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
         """Start a jerk-limited motion to q (n,) rad. Raises SafetyStop for a target outside the limits, ConfigError for wrong limits."""
@@ -96,8 +92,7 @@ class SimulatedRobot(ContextDevice):
             if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):
                 raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
             self._begin(target, bounds)
-            self._wanted, self._under_way, self._still_s = limits, True, 0.0
-            self._publish()
+            self._wanted, self._under_way = limits, True
 
     def state(self) -> RobotState:
         """The state, a little later than at the last call where it is under way. Raises ConfigError before ``connect``."""
@@ -106,18 +101,18 @@ class SimulatedRobot(ContextDevice):
             if self._led is not None and (target := self._led.take()) is not None:
                 self._begin(target, [np.full(len(target), v) for v in LED])
             waited = 0.0 if self._clock is None else self._clock.take()
-            under_way = self._motion is not None or self._under_way or self._follow
+            under_way = self._arm.moving or self._under_way or self._follow
             for _ in range(round(waited / CYCLE_S) + (CYCLES_AT_ONCE if under_way else 0)):
                 self._step()
-            wanted = self._wanted
+            wanted, arm = self._wanted, self._arm
             arrived = (
                 wanted is not None
-                and self._motion is None
-                and bool(np.abs(self._q - self._target).max() <= wanted.tolerance)
-                and self._still_s >= wanted.settle_s - 1e-9
+                and not arm.moving
+                and bool(np.abs(arm.q - arm.target).max() <= wanted.tolerance)
+                and arm.still_s >= wanted.settle_s - 1e-9
             )
             self._under_way = self._under_way and not arrived
-            return RobotState(self._time, self._q.copy(), self._motion is not None, arrived)
+            return RobotState(arm.time_s, arm.q.copy(), arm.moving, arrived)
 
     def cycles(self) -> Cycles:
         with self._lock:
@@ -133,9 +128,10 @@ class SimulatedRobot(ContextDevice):
             if not self._connected:
                 return
             self._wanted, self._under_way = None, False
-            if self._motion is not None:
-                self._brake()
-            while self._motion is not None:
+            if self._arm.moving:
+                fastest = np.maximum(np.abs(self._arm.qd), np.radians(1.0))
+                self._arm.brake(fastest / BRAKING_S, fastest / BRAKING_S / CYCLE_S)
+            while self._arm.moving:
                 self._step()
 
     def close(self) -> None:
@@ -148,51 +144,12 @@ class SimulatedRobot(ContextDevice):
             raise ConfigError(f"robot '{self._name}' is not connected; connect it first")
 
     def _begin(self, target: np.ndarray, bounds: list[np.ndarray]) -> None:
-        given = ruckig.InputParameter(len(target))
-        given.current_position, given.target_position = self._q.tolist(), target.tolist()
-        given.current_velocity = self._qd.tolist()
-        given.max_velocity, given.max_acceleration, given.max_jerk = (b.tolist() for b in bounds)
-        self._start(given)
-        self._target = target.copy()
-
-    def _brake(self) -> None:
-        """All axes to rest, each as fast as it can."""
-        fastest = np.maximum(np.abs(self._qd), np.radians(1.0))
-        given = ruckig.InputParameter(len(self._q))
-        given.control_interface = ruckig.ControlInterface.Velocity
-        given.current_position, given.current_velocity = self._q.tolist(), self._qd.tolist()
-        given.target_velocity = [0.0] * len(self._q)
-        given.max_acceleration = (fastest / BRAKING_S).tolist()
-        given.max_jerk = (fastest / BRAKING_S / CYCLE_S).tolist()
-        self._start(given)
-        self._target = np.array(self._motion.at_time(self._motion.duration)[0]) if self._motion is not None else self._q.copy()
-
-    def _start(self, given: ruckig.InputParameter) -> None:
-        motion = ruckig.Trajectory(len(self._q))
-        if ruckig.Ruckig(len(self._q)).calculate(given, motion) not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise ConfigError(f"robot '{self._name}': this motion cannot be timed; set the plan's robot: speed higher")
-        self._motion, self._since = motion, 0.0
+        try:
+            self._arm.go(target, *bounds)
+        except ValueError:
+            raise ConfigError(f"robot '{self._name}': this motion cannot be timed; set the plan's robot: speed higher") from None
 
     def _step(self) -> None:
         """One cycle later."""
-        self._time += CYCLE_S
-        if self._motion is None:
-            self._still_s += CYCLE_S
-        else:
-            self._since = min(self._since + CYCLE_S, self._motion.duration)
-            position, speed, _ = self._motion.at_time(self._since)
-            moved = np.array(position) - self._q
-            self._direction = np.where(np.abs(moved) > 1e-9, np.sign(moved), self._direction)
-            self._q, self._qd = np.array(position), np.array(speed)
-            if self._since >= self._motion.duration:
-                self._q, self._qd, self._motion, self._still_s = self._target.copy(), np.zeros_like(self._q), None, 0.0
-                self._arrivals += 1
-        self._rows.append((self._time, time.monotonic(), self._q, self._q, self._target))
-        self._publish()
-
-    def _publish(self) -> None:
-        assert self._state is not None
-        still = self._motion is None
-        self._state.write(
-            self._time, tuple(self._q.tolist()), tuple(self._qd.tolist()), tuple(self._direction.tolist()), still, self._arrivals
-        )
+        self._arm.advance(CYCLE_S)
+        self._rows.append((self._arm.time_s, time.monotonic(), self._arm.q, self._arm.q, self._arm.target))

@@ -6,6 +6,7 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mbcacq.errors import ConfigError
 
@@ -51,8 +52,8 @@ def _xml(sign, rows, mass, com, payload, gravity) -> str:
     parts, close = [], []
     frame = np.eye(4)  # where the previous link's own frame lies in its body
     for i, (theta, d, a, alpha, beta) in enumerate(np.asarray(rows, dtype=float)):
-        start = frame @ _rz(theta)
-        after = _shift(0, 0, d) @ _shift(a, 0, 0) @ _rx(alpha) @ _ry(beta)
+        start = frame @ _rigid("Z", theta, np.zeros(3))
+        after = _rigid("XY", (alpha, beta), np.array([a, 0.0, d]) * 1e-3)
         size = np.maximum(np.abs([a, 0.0, d]) / 1000, 0.12)
         bodies = _mass(mass[i], after, np.asarray(com[i]) * 1e-3, size, f"link{i + 1}")
         if i == len(rows) - 1 and payload[0] > 0:
@@ -86,32 +87,12 @@ def _v(values) -> str:
     return " ".join(f"{v:.17g}" for v in np.asarray(values, dtype=float))
 
 
-def _shift(x: float, y: float, z: float) -> np.ndarray:
+def _rigid(axes: str, angles: Any, xyz: np.ndarray) -> np.ndarray:
+    """Turned about its own axes, one after the other, at xyz."""
     T = np.eye(4)
-    T[:3, 3] = np.array([x, y, z]) * 1e-3
-    return T
-
-
-def _rz(a: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
-    return T
-
-
-def _rx(a: float) -> np.ndarray:
-    T = np.eye(4)
-    T[1:3, 1:3] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
-    return T
-
-
-def _ry(a: float) -> np.ndarray:
-    T = np.eye(4)
-    T[0, 0], T[0, 2], T[2, 0], T[2, 2] = np.cos(a), np.sin(a), -np.sin(a), np.cos(a)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler(axes, angles).as_matrix(), xyz
     return T
 
 
 def _quat(R: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(R).as_quat()
-    return np.array([w, x, y, z])
+    return Rotation.from_matrix(R).as_quat(scalar_first=True)

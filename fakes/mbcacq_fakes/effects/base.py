@@ -57,6 +57,12 @@ class InjectedEffect(NoEffect):
         direction = self.rng.standard_normal(dimension)
         return self.strength * length * direction / np.linalg.norm(direction)
 
+    @property
+    def planned(self) -> np.ndarray:
+        """(P, n) rad: the planned poses, or where none are planned some of usual angles."""
+        planned = self.cell.planned_q
+        return np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n)) if planned is None or len(planned) < 2 else planned
+
     def pose_number(self, at: Moments) -> np.ndarray:
         """(P,) how many poses were exposed before; several exposures at one standstill count once."""
         out = np.empty(len(at), dtype=int)

@@ -19,10 +19,7 @@ class LinkBending(InjectedEffect):
     def draw(self) -> None:
         self._axes = self.axes([i for i in (1, 2) if i < self.cell.n])
         self.twist, self.bears = abs(self.size(5e-4)), 0.4
-        planned = self.cell.planned_q
-        if planned is None or len(planned) < 2:
-            planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
-        self._scale = float(np.std(self._moment(planned, self._axes[0])[0])) or 1.0
+        self._scale = float(np.std(self._moment(self.planned, self._axes[0])[0])) or 1.0
 
     def _moment(self, q: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
         """Twisting moment (P,) N m about the long axis of link i, and that axis (P, 3) in the frame behind the link."""

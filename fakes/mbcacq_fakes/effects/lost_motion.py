@@ -29,10 +29,7 @@ class LostMotion(InjectedEffect):
         loaded = [i for i in (1, 2) if i < self.cell.n]
         self._axes = self.axes(loaded)
         (i,) = self._axes
-        planned = self.cell.planned_q
-        if planned is None or len(planned) < 2:
-            planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
-        reach = float(np.abs(self.cell.masses.torque(self.arm, planned)[:, i]).max())
+        reach = float(np.abs(self.cell.masses.torque(self.arm, self.planned)[:, i]).max())
         given = self.given
         self.lost = abs(self.size(4e-4)) if given["lost_motion_deg"] is None else float(np.radians(given["lost_motion_deg"]))
         share = float(self.rng.uniform(0.12, 0.4))

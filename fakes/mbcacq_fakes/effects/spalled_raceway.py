@@ -23,12 +23,9 @@ class SpalledRaceway(InjectedEffect):
         self._joint = self.axes(range(min(self.cell.n, 3)))[0]
         self.tilt = abs(self.size(4e-4))
         self.half_width = float(np.radians(self.rng.uniform(25, 45)))
-        planned = self.cell.planned_q
-        if planned is None or len(planned) < 2:
-            planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
-        passed, about = self._loaded_side(planned)
+        passed, about = self._loaded_side(self.planned)
         # A tilt about the next joint's axis, which passes through the frame behind the link, is an error of that joint's angle.
-        next_axis = self.arm.frames(planned)[:, self._joint + 1, :3, 2]
+        next_axis = self.arm.frames(self.planned)[:, self._joint + 1, :3, 2]
         self._is_next_joint = bool(np.mean((about * next_axis).sum(axis=1) ** 2) > 0.95)
         # The damage lies where the bearing is loaded now and then: counted from the mean direction, in the middle of what occurs.
         mean = np.angle(np.exp(1j * passed).mean())

@@ -30,11 +30,8 @@ class TautHose(InjectedEffect):
         turn = float(self.rng.uniform(-np.pi, np.pi))
         self._bracket = np.array([self.OUT * np.cos(turn), self.OUT * np.sin(turn), self.FORWARD])
         self.lean = abs(self.size(4e-4))
-        planned = self.cell.planned_q
-        if planned is None or len(planned) < 2:
-            planned = np.random.default_rng(0).uniform(-1.2, 1.2, (200, self.cell.n))
         # It is taut in a third to a half of what the arm does.
-        self.length = float(np.quantile(np.linalg.norm(self._between(planned), axis=1), self.rng.uniform(0.5, 0.67)))
+        self.length = float(np.quantile(np.linalg.norm(self._between(self.planned), axis=1), self.rng.uniform(0.5, 0.67)))
 
     def _between(self, q: np.ndarray) -> np.ndarray:
         """(P, 3) mm from the clamp on the bracket to that on the forearm, in the flange frame."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 
@@ -14,13 +14,14 @@ def refuse_unknown(faults: Iterable[str], known: Mapping[str, str] | Sequence[st
 
 
 class Faults:
-    """Settable from any thread while the device runs. known: name of each fault, and what it does.
+    """Settable from any thread while the device runs. known: name of each fault, and what it does. counted: those that ``inject`` sets for
+    so many uses.
 
     ``set("stall")`` stays until ``clear("stall")``; ``set("stall", times=1)`` wears off after one use.
     """
 
-    def __init__(self, known: Mapping[str, str]) -> None:
-        self._known, self._lock = known, threading.Lock()
+    def __init__(self, known: Mapping[str, str] | Sequence[str], counted: Container[str] = ()) -> None:
+        self._known, self._counted, self._lock = known, counted, threading.Lock()
         self._active: dict[str, tuple[Any, int | None]] = {}
 
     def set(self, fault: str, value: Any = True, times: int | None = None) -> None:
@@ -29,6 +30,16 @@ class Faults:
             raise ValueError(f"there is no fault '{fault}' (known: {', '.join(self._known)})")
         with self._lock:
             self._active[fault] = (value, times)
+
+    def inject(self, values: Mapping[str, float]) -> None:
+        """Set each to its number; 0 takes it back. Raises ValueError for a fault that there is none of."""
+        for fault, value in values.items():
+            if not value:
+                self.clear(fault)
+            elif fault in self._counted:
+                self.set(fault, times=int(value))
+            else:
+                self.set(fault, value)
 
     def clear(self, fault: str | None = None) -> None:
         """One fault, or all."""

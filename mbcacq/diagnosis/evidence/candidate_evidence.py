@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
@@ -57,10 +59,7 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
 
 def evidence_of_one(projected: CandidateScoring, candidate: Candidate, hyper: float | None = None) -> Scored:
     """A candidate at one value of its hyper-parameter, or without one."""
-    X, S, b = projected.candidate_products(candidate, hyper)
-    absorbed, t = projected.conditioned.T @ X, candidate.typical
-    A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
-    return float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), Member(candidate, hyper)
+    return float(log_factors(projected, candidate, [hyper])[0]), Member(candidate, hyper)
 
 
 def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> Scored:
@@ -80,8 +79,8 @@ def log_weights(candidate: Candidate, values: np.ndarray) -> np.ndarray:
     return np.log(weight)
 
 
-def log_factors(projected: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
-    """(H,) log Bayes factors of a candidate with components at values of its hyper-parameter."""
+def log_factors(projected: CandidateScoring, candidate: Candidate, values: Sequence[float | None] | np.ndarray) -> np.ndarray:
+    """(H,) log Bayes factors of a candidate at values of its hyper-parameter."""
     S, b = projected.normal_matrices(candidate, values)
     t = candidate.typical
     return log_bayes_factors(S * np.outer(t, t), b * t, sizes_of(candidate), candidate.positive)

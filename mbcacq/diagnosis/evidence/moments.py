@@ -26,7 +26,7 @@ SHARPEST = 1e-4  # of the same: below, no model of a gearbox is as exact as that
 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
     """The candidate of a member, which reports its moment, torque or time constant with the standard deviation over all others."""
-    candidate = member.candidate
+    candidate, along = member.candidate, np.zeros(())
     if candidate.hyper is None or not candidate.components or member.hyper is None:
         return candidate
     name, kind = candidate.hyper.name, candidate.hyper.kind
@@ -36,41 +36,34 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
     elif kind == BREAKPOINT:
         std = spread_of_breakpoint(hypothesis, member)
     elif kind == FADING:
-        return with_uncertain_fading(hypothesis, member)
+        std, along = uncertain_fading(hypothesis, member)
     elif kind == ORDER:
         return with_uncertain_order(hypothesis, member)
     else:
         return candidate
 
-    def report(c: np.ndarray, v: np.ndarray, rank: HyperEstimate) -> Parameters:
-        whole = candidate.report(c, v, rank)
+    def report(c: np.ndarray, v: np.ndarray, found: HyperEstimate) -> Parameters:
+        whole = candidate.report(c, v + along, found)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
     return replace(candidate, report=report)
 
 
-def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
-    """The candidate of something that fades with time. A recording that is short against the time constant determines only the rate at the
-    beginning. The size then goes with the time constant, and the uncertainty of both covers all that are possible.
+def uncertain_fading(hypothesis: Hypothesis, member: Member) -> tuple[float, np.ndarray]:
+    """Standard deviation of the time constant of something that fades with time, and (k, k) covariance that this adds to its size. Where
+    the recording is short against the time constant, only the rate at the beginning is determined: then the size goes with the time
+    constant, and both are as uncertain as all that are possible differ.
     """
     candidate, found = member.candidate, member.hyper
     assert candidate.hyper is not None, "only asked of effects with a time constant"
     assert found is not None, "only asked of effects with a time constant"
-    name = candidate.hyper.name
     values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), OPTIONS.fine)
     others = with_others(hypothesis, member)
     probability = likelihood(others, candidate, values)
-    std = float(np.sqrt(probability @ (values - found) ** 2))
     there = hypothesis.solved
     reported = there.coefficients[there.slices()[hypothesis.members.index(member)]]
     away = sizes_with(others, member, values) - reported
-    along = (away * probability[:, None]).T @ away
-
-    def report(c: np.ndarray, v: np.ndarray, tau: HyperEstimate) -> Parameters:
-        whole = candidate.report(c, v + along, tau)
-        return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
-
-    return replace(candidate, report=report)
+    return float(np.sqrt(probability @ (values - found) ** 2)), (away * probability[:, None]).T @ away
 
 
 def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:

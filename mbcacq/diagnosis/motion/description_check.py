@@ -7,8 +7,9 @@ friction, rotors and small offsets.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -19,7 +20,7 @@ from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regress
 from mbcacq.model.cell import RobotModel
 from mbcacq.quantities import in_degrees
 
-QUARTER = np.pi / 2
+QUARTER, EVERY = np.pi / 2, slice(None)
 FEW_RADIANS = 7.0  # deg; angles that stay below may be in radians
 DOWN = {
     "up, as for an arm on the ceiling": (0.0, 0.0, 1.0),
@@ -33,28 +34,19 @@ FRICTION_SPEED = 0.02  # share of a joint's fastest speed over which friction ch
 
 @dataclass(frozen=True)
 class Samples:
-    """All recordings, one after the other: q, qd, qdd, torque, moving (N, n); moving: where friction is not that of standstill."""
+    """All recordings, one after the other: q, qd, qdd, torque, moving (N, n); moving: where friction is not that of standstill. gravity:
+    (3,) its direction in the base.
+    """
 
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray
     moving: np.ndarray
+    gravity: np.ndarray
 
 
-@dataclass(frozen=True)
-class Reading:
-    """Another reading of the recording: q read as ``sign * scale * q[:, order] + offset``, torques with ``torque_sign`` and in
-    ``torque_order``. what: in words."""
-
-    what: str
-    sign: np.ndarray
-    offset: np.ndarray
-    torque_sign: np.ndarray
-    torque_order: np.ndarray
-    order: np.ndarray
-    scale: float = 1.0
-    gravity: tuple[float, ...] | None = None
+Reading = tuple[str, Callable[[Samples], Samples]]  # in words, after 'with'; the samples so read
 
 
 def suspicions(runs: tuple[MotionSignals, ...]) -> tuple[str, ...]:
@@ -63,26 +55,26 @@ def suspicions(runs: tuple[MotionSignals, ...]) -> tuple[str, ...]:
     robot = runs[0].robot
     if robot is None or not robot.mass.any() or any(run.torque is None or not np.isfinite(run.torque).all() for run in runs):
         return ()
-    samples = _samples(runs)
+    samples = _samples(runs, robot)
     described = _unit_torques(samples, robot)
     before = _residual(samples, robot, described)
-    best, after = None, before
-    for reading in _readings(robot, samples):
-        read, turned = _read(samples, reading), _turned(robot, reading)
-        same = turned is robot and all(np.array_equal(getattr(read, name), getattr(samples, name)) for name in ("q", "qd", "qdd"))
-        rms = _residual(read, turned, described if same else _unit_torques(read, turned))
+    best, after = "", before
+    for what, reading in _readings(samples):
+        read = reading(samples)
+        same = read.q is samples.q and read.gravity is samples.gravity
+        rms = _residual(read, robot, described if same else _unit_torques(read, robot))
         if float(np.log(rms).sum()) < float(np.log(after).sum()):
-            best, after = reading, rms
-    if best is None:
+            best, after = what, rms
+    if not best:
         return ()
     ratio = after / before
     if float(np.prod(ratio)) > NUMBERS.suspicious_ratio:
         return ()
     j = int(np.argmin(ratio))
-    return (f"with {best.what} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at A{j + 1}",)
+    return (f"with {best} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at A{j + 1}",)
 
 
-def _samples(runs: tuple[MotionSignals, ...]) -> Samples:
+def _samples(runs: tuple[MotionSignals, ...], robot: RobotModel) -> Samples:
     each = max(NUMBERS.description_samples // len(runs), 1)
     columns: list[list[np.ndarray]] = [[] for _ in range(4)]
     for run in runs:
@@ -91,52 +83,47 @@ def _samples(runs: tuple[MotionSignals, ...]) -> Samples:
         for column, signal in zip(columns, (run.smooth, run.qd, run.qdd, run.torque), strict=True):
             column.append(np.asarray(signal)[at])
     q, qd, qdd, torque = (np.concatenate(c) for c in columns)
-    return Samples(q, qd, qdd, torque, np.abs(qd) > NUMBERS.standstill * np.abs(qd).max(axis=0))
+    return Samples(q, qd, qdd, torque, np.abs(qd) > NUMBERS.standstill * np.abs(qd).max(axis=0), robot.gravity)
 
 
-def _readings(robot: RobotModel, samples: Samples) -> Iterator[Reading]:
-    n = robot.n
-    one, zero, straight = np.ones(n), np.zeros(n), np.arange(n)
-    flips = [np.where(straight == j, -1.0, 1.0) for j in range(n)]
-    for j, flip in enumerate(flips):
-        yield Reading(f"A{j + 1} reversed", flip, zero, one, straight, straight)
-        yield Reading(f"the torque of A{j + 1} reversed", one, zero, flip, straight, straight)
-        yield Reading(f"A{j + 1} and its torque reversed", flip, zero, flip, straight, straight)
-    yield Reading("all axes reversed", -one, zero, one, straight, straight)
-    yield Reading("all torques reversed", one, zero, -one, straight, straight)
-    yield Reading("all axes and torques reversed", -one, zero, -one, straight, straight)
+def _readings(samples: Samples) -> Iterator[Reading]:
+    n = samples.q.shape[1]
+    each = np.eye(n)
+    for j, flip in enumerate(1.0 - 2.0 * each):
+        yield f"A{j + 1} reversed", partial(_angles, sign=flip)
+        yield f"the torque of A{j + 1} reversed", partial(_torques, sign=flip)
+        yield f"A{j + 1} and its torque reversed", lambda s, flip=flip: _torques(_angles(s, flip), flip)
+    yield "all axes reversed", partial(_angles, sign=-1.0)
+    yield "all torques reversed", partial(_torques, sign=-1.0)
+    yield "all axes and torques reversed", lambda s: _torques(_angles(s, -1.0), -1.0)
     for j in range(n):
         for quarter in (1, -1, 2):
-            yield Reading(f"{90 * quarter:+d}° added to A{j + 1}", one, quarter * QUARTER * np.eye(n)[j], one, straight, straight)
+            yield f"{90 * quarter:+d}° added to A{j + 1}", partial(_angles, offset=quarter * QUARTER * each[j])
     for a, b in product((1, -1), (1, -1)) if n >= 3 else ():
-        offset = QUARTER * (a * np.eye(n)[1] + b * np.eye(n)[2])
-        yield Reading(f"{90 * a:+d}° added to A2 and {90 * b:+d}° to A3", one, offset, one, straight, straight)
+        yield f"{90 * a:+d}° added to A2 and {90 * b:+d}° to A3", partial(_angles, offset=QUARTER * (a * each[1] + b * each[2]))
     for i, j in combinations(range(n), 2):
-        order = straight.copy()
+        order = np.arange(n)
         order[[i, j]] = j, i
-        yield Reading(f"the columns of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, order)
-        yield Reading(f"the torques of A{i + 1} and A{j + 1} exchanged", one, zero, one, order, straight)
+        yield f"the columns of A{i + 1} and A{j + 1} exchanged", lambda s, order=order: _torques(_angles(s, order=order), order=order)
+        yield f"the torques of A{i + 1} and A{j + 1} exchanged", partial(_torques, order=order)
     if in_degrees(np.abs(samples.q)).max() < FEW_RADIANS:
-        yield Reading("the angles read as radians, not degrees", one, zero, one, straight, straight, scale=float(in_degrees(1)))
+        yield "the angles read as radians, not degrees", partial(_angles, sign=float(in_degrees(1)))
     for what, down in DOWN.items():
-        yield Reading(f"gravity {what}", one, zero, one, straight, straight, gravity=down)
+        yield f"gravity {what}", lambda s, down=down: replace(s, gravity=np.array(down))
 
 
-def _read(s: Samples, reading: Reading) -> Samples:
-    def angles(signal: np.ndarray) -> np.ndarray:
-        return reading.sign * reading.scale * signal[:, reading.order]
-
-    torque = reading.torque_sign * s.torque[:, reading.torque_order]
-    return Samples(angles(s.q) + reading.offset, angles(s.qd), angles(s.qdd), torque, s.moving[:, reading.order])
+def _angles(s: Samples, sign: np.ndarray | float = 1.0, offset: np.ndarray | float = 0.0, order: np.ndarray | slice = EVERY) -> Samples:
+    q, qd, qdd = (sign * signal[:, order] for signal in (s.q, s.qd, s.qdd))
+    return replace(s, q=q + offset, qd=qd, qdd=qdd, moving=s.moving[:, order])
 
 
-def _turned(robot: RobotModel, reading: Reading) -> RobotModel:
-    return robot if reading.gravity is None else replace(robot, gravity=np.array(reading.gravity))
+def _torques(s: Samples, sign: np.ndarray | float = 1.0, order: np.ndarray | slice = EVERY) -> Samples:
+    return replace(s, torque=sign * s.torque[:, order])
 
 
 def _unit_torques(s: Samples, robot: RobotModel) -> np.ndarray:
     """(N, n, n, 10) by unit inertial parameters. They take most of the time, and readings of the torque alone share them."""
-    return regressor(robot.chain, s.q, s.qd, s.qdd, robot.gravity)
+    return regressor(robot.chain, s.q, s.qd, s.qdd, s.gravity)
 
 
 def _residual(s: Samples, robot: RobotModel, unit: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_error import load_alternatives, load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
+from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.normal_store import shift_difference
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import ChannelFit
@@ -149,12 +149,11 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
 def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Covariance of the coefficients x, then of the continuous hyper-parameters, all together."""
     store = model.store
+    if not store.whole:  # with a part held out only the prediction is used
+        return np.zeros((len(x) + len(continuous_effects(model)),) * 2)
     derivatives = add_derivatives(model, chosen, x)
     ids = np.concatenate([chosen, *derivatives]).astype(int)
-    everything = np.concatenate([x, np.zeros(len(derivatives))])
-    if store.whole:
-        return covariance(store, weights, ids, everything, NUMBERS.correlation_s)
-    return sandwich_covariance(store, weights, ids, everything)  # with a part held out only the prediction is used: the quicker one does
+    return covariance(store, weights, ids, np.concatenate([x, np.zeros(len(derivatives))]), NUMBERS.correlation_s)
 
 
 def _residuals(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> ByRun:

@@ -36,16 +36,6 @@ def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
     return _with_variances(coloured, least)
 
 
-def sandwich_covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(c, c) from segments that count as independent, never less than for white noise; quicker than ``covariance``."""
-    inverse = _inverse(store, weights, chosen)
-    robust = _propagated(inverse, _spread_of_scores(store, weights, chosen, x))
-    least = np.diag(inverse * max(_chi2_dof(store, weights, chosen, x), 1e-300))
-    known = np.maximum(np.diag(robust), 1e-9 * least + 1e-300)
-    grow = np.sqrt(np.maximum(least / known, 1.0))
-    return robust * np.outer(grow, grow) + np.diag(np.maximum(least - np.diag(robust) * grow**2, 0.0))
-
-
 def _propagated(inverse: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """(c, c) inverse times spread times inverse, as squares of a root of the spread: rounding makes no variance negative."""
     scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))

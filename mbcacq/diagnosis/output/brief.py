@@ -105,8 +105,7 @@ def limits_in_brief(d: Diagnosis) -> list[str]:
     """The largest effect that could still hide, and how many more there are."""
     tested = [limit for limit in d.exclusion_limits if limit.tested]
     out = [text.hidden(tested[0])] if tested else []
-    out += [f"Cannot be told apart: {text.pair_in_words(pair)} ({text.odds_of(pair)})" for pair in d.not_separable[:2]]
-    out += [f"Measure next: {a.reason}" for a in d.advice[1:3]]
+    out += text.open_lines(d.not_separable[:2], d.advice[1:3])
     if untested := len(d.exclusion_limits) - len(tested):
         out.append(f"Not tested by these poses: {untested} of {len(d.exclusion_limits)} effects and locations")
     return out

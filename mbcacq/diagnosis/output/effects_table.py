@@ -6,7 +6,7 @@ Each has its probability, corrected for all that was tried, and the locations th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -140,39 +140,33 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     if not full.random:
         return []
     size = displacements(full)
-    ranked = sorted(size, key=lambda key: -size[key].value)
-    if full.everywhere:
-        first = full.cells[0]
-        spread = {key: again[label].size_spread * size[key].value for key in ranked if (label := group_label(*key)) in again}
-        stated = [key for key in ranked if size[key].value > K * max(size[key].std, spread.get(key, 0.0))] or ranked[:1]
-        parameters, p_value = _rms_parameters(size, stated[:MOST_GROUPS]), _bayes_p(first.log_bayes_factor)
-        effect = EffectFound(
-            name=UNKNOWN,
-            where=(first.location,),
-            parameters=parameters,
-            p_value=p_value,
-            held_out_gain=validation.unmodelled_gain,
-            held_out_gain_std=validation.gain_std(validation.unmodelled_gain),
-            depends_on=first.depends_on,
-            found_again=tuple(again[label] for label in [label_of(UNKNOWN, (first.location,))] if label in again),
-        )
-        return [(False, contributions.of(contributions.unmodelled), effect)]
+    ranked = sorted(size, key=lambda key: -size[key][0])
     out = list[Ranked]()
-    for at in dict.fromkeys(at for at, _ in ranked):
-        mine = [key for key in ranked if key[0] == at]
-        evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
-        gain = validation.gain(f"{UNKNOWN}:{at}")
+
+    def entry(at: str, on: str, stated: list[tuple[str, str]], log_bayes_factor: float, gain: float, columns: list[int]) -> None:
         effect = EffectFound(
             name=UNKNOWN,
             where=(at,),
-            parameters=_rms_parameters(size, mine),
-            p_value=_bayes_p(evidence),
+            parameters={f"{at}({on}).rms_mm": ParameterEstimate(*size[at, on]) for at, on in stated},
+            p_value=_bayes_p(log_bayes_factor),
             held_out_gain=gain,
             held_out_gain_std=validation.gain_std(gain),
-            depends_on=mine[0][1],
+            depends_on=on,
             found_again=tuple(again[label] for label in [label_of(UNKNOWN, (at,))] if label in again),
         )
-        out.append((False, contributions.of(contributions.groups_at(full, at)), effect))
+        out.append((False, contributions.of(columns), effect))
+
+    if full.everywhere:
+        first = full.cells[0]
+        spread = {key: again[label].size_spread * size[key][0] for key in ranked if (label := group_label(*key)) in again}
+        stated = [key for key in ranked if size[key][0] > K * max(size[key][1], spread.get(key, 0.0))] or ranked[:1]
+        gain, columns = validation.unmodelled_gain, contributions.unmodelled
+        entry(first.location, first.depends_on, stated[:MOST_GROUPS], first.log_bayes_factor, gain, columns)
+        return out
+    for at in dict.fromkeys(at for at, _ in ranked):
+        mine = [key for key in ranked if key[0] == at]
+        evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
+        entry(at, mine[0][1], mine, evidence, validation.gain(f"{UNKNOWN}:{at}"), contributions.groups_at(full, at))
     return out
 
 
@@ -181,16 +175,9 @@ def _bayes_p(log_bayes_factor: float) -> float:
     return max(float(np.exp(-max(log_bayes_factor, 0.0))), SMALLEST_P)
 
 
-@dataclass(frozen=True)
-class Displacement:
-    """3D rms displacement of the kept centres and its standard deviation, mm."""
-
-    value: float
-    std: float
-
-
-def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
-    """(location, covariate) -> how much of what the unmodelled effects there do neither geometry nor named effects compensate.
+def displacements(full: ModelFit) -> dict[tuple[str, str], tuple[float, float]]:
+    """(location, covariate) -> how much of what the unmodelled effects there do neither geometry nor named effects compensate: 3D rms
+    (mm) of the kept centres, and its standard deviation.
 
     It is at most what these leave of the misfit: beyond that, unmodelled effects compensate each other.
     """
@@ -209,17 +196,13 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
         moved[~linear.keep], moved[:, 3:] = 0.0, 0.0
         size = rms_of(moved[linear.keep, :3])
         slope = np.concatenate(named.slopes(parts, moved)) / (np.sum(linear.keep) * max(size, 1e-12))
-        out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope)))
+        out[key] = min(size, misfit), float(np.sqrt(slope @ covariance[np.ix_(mine, mine)] @ slope))
     return out
 
 
 def rms_of(moved: np.ndarray) -> float:
     """3D rms of displacements (M, 3)."""
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-
-
-def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[str, str]]) -> dict[str, ParameterEstimate]:
-    return {f"{at}({on}).rms_mm": ParameterEstimate(size[at, on].value, size[at, on].std) for at, on in keys}
 
 
 def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:

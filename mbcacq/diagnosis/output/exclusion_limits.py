@@ -106,16 +106,8 @@ class BandScan:
         self.values: tuple[float | None, ...] = own[0].values
         if len(own) > 1:
             self.values = tuple(sorted({value for band in own for value in band.values if value is not None}))
-        if candidate.components:
-            S, b = problem.normal_matrices(candidate, np.array(self.values, dtype=float))
-        else:
-            S, b = (np.array(each) for each in zip(*(self._products(value) for value in self.values), strict=True))
+        S, b = problem.normal_matrices(candidate, self.values)
         self._information, self._gradient = S * np.outer(t, t), b * t
-
-    def _products(self, value: float | None) -> tuple[np.ndarray, np.ndarray]:
-        X, own, along = self.problem.candidate_products(self.candidate, value)
-        absorbed_part = self.problem.conditioned.T @ X
-        return own - absorbed_part.T @ absorbed_part, along - absorbed_part.T @ self.problem.along
 
     def at(self, band: LimitBand) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices and right-hand sides at the values of a band."""
@@ -140,14 +132,15 @@ class BandScan:
         """
         if len(band.values) == 1:
             return 1.0
-        key, kept = (self.candidate.key, band.values, parameter), self.problem.store.independent
-        if key not in kept:
+
+        def by_noise() -> float:
             information, scores = (each[self._places(band)] for each in self._noise)
             covariance = np.linalg.inv(information)
             drawn, own = (covariance @ scores)[:, which], covariance[:, which][:, :, which]
             positive = self.candidate.positive and self.candidate.k == 1
-            kept[key] = independent_values(largest_ratio(drawn, own, positive), len(which), positive)
-        return kept[key]
+            return independent_values(largest_ratio(drawn, own, positive), len(which), positive)
+
+        return self.problem.known(("independent", self.candidate.key, band.values, parameter), by_noise)
 
 
 def limits_of_bands(problem: CandidateScoring, candidate: Candidate, own: Sequence[LimitBand]) -> list[BandLimit]:

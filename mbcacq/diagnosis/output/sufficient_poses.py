@@ -116,9 +116,7 @@ def largest_deviations(projected: CandidateScoring, candidate: Candidate, values
 
 def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k,) and their standard deviations, with everything else in place; inf where the geometry absorbs one of them."""
-    X, S, b = conditioned.candidate_products(candidate, hyper)
-    absorbed = conditioned.conditioned.T @ X
-    S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
+    X, S, b = conditioned.products_beside(candidate, hyper)
     size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
     scaled = S / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < ROUNDED:

@@ -6,9 +6,10 @@ problem is conditioned on were refitted together with the candidate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from mbcacq.estimation.normal_equations import inverse_of_lower
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.whitening import CentreWhitening
+from mbcacq.model.computed_once import ComputedOnce
 
 
 def ridge_projection(own: np.ndarray, rows_of: Sequence[slice | np.ndarray], shared: np.ndarray) -> tuple[np.ndarray, float]:
@@ -87,46 +89,11 @@ class BatchScoring:
     X: np.ndarray
     blocks: list[tuple[np.ndarray, np.ndarray]]
 
-    @classmethod
-    def of(
-        cls,
-        candidates: list[Candidate],
-        linear: LinearProblem,
-        whiten: CentreWhitening,
-        absorbed_of: Callable[[np.ndarray], np.ndarray],
-        r: np.ndarray,
-    ) -> BatchScoring:
-        """absorbed_of: products (z, k) of whitened columns with the basis of what geometry absorbs; r (rows,): residual beyond it."""
-        fixed = FixedBlocks.of(candidates, linear)
-        X = whiten(fixed.columns)
-        absorbed, b = absorbed_of(X), X.T @ r
-        blocks = []
-        for _, columns in fixed.sizes:
-            own, gone = X.T[columns], absorbed.T[columns]
-            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
-        return cls(fixed, X, blocks)
-
 
 UnitKey = tuple[str, int, int]  # location, index, component
 MOST_KEPT = 3000  # candidates whose products are kept
 ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
 NOISES = 64  # draws of noise, by which the median of a largest of many scores is known: it need not be exact
-
-
-@dataclass(frozen=True)
-class ProductStore:
-    """Products with geometry alone projected out, each computed when first asked for; every conditioning of the problem shares them."""
-
-    units: dict[UnitKey, np.ndarray] = field(default_factory=dict)
-    candidates: dict[tuple[str, float | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    scans: dict[str, tuple[ScannedFunctions, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    last_scan: dict[tuple[str, bytes], tuple[ScannedFunctions, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
-    beyond_geometry: list[np.ndarray] = field(default_factory=list)
-    moved: list[np.ndarray] = field(default_factory=list)
-    noise: list[np.ndarray] = field(default_factory=list)
-    independent: dict[tuple[str, tuple[float | None, ...], str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,7 +103,8 @@ class CandidateScoring:
     whiten: to rows of unit variance. Q (rows, z): basis of what geometry absorbs, log_det its log determinant; its first columns are of
     the stations, six of each, and vanish at all others. r0, r (rows,): whitened
     residual before and after all projections. dof: degrees of freedom with geometry alone. conditioned (rows, a): basis of what is
-    projected out besides geometry; along (a,): the residual along it.
+    projected out besides geometry; along (a,): the residual along it. known: products with geometry alone projected out, which every
+    conditioning of the problem shares; known_beside: those with all that it is conditioned on.
     """
 
     linear: LinearProblem
@@ -149,8 +117,8 @@ class CandidateScoring:
     dof: float
     conditioned: np.ndarray
     along: np.ndarray
-    store: ProductStore = field(default_factory=ProductStore, repr=False)
-    conditioned_products: dict[tuple[UnitKey, ...], np.ndarray] = field(default_factory=dict, repr=False)
+    known: ComputedOnce = field(default_factory=ComputedOnce, repr=False)
+    known_beside: ComputedOnce = field(default_factory=ComputedOnce, repr=False)
 
     def __reduce__(self) -> tuple:
         """Without what is computed when first asked for."""
@@ -192,7 +160,7 @@ class CandidateScoring:
             basis = np.concatenate([basis, Y @ inverse_of_lower(np.linalg.cholesky(S)).T], axis=1)
         along = basis.T @ self.r0
         r = self.beyond_geometry() - basis @ along
-        return replace(self, conditioned=basis, along=along, r=r, conditioned_products={})
+        return replace(self, conditioned=basis, along=along, r=r, known_beside=ComputedOnce())
 
     def absorbed(self, X: np.ndarray) -> np.ndarray:
         """Q'X (z, k) of whitened columns (rows, k), each station's columns of Q by its own rows."""
@@ -211,9 +179,7 @@ class CandidateScoring:
 
     def beyond_geometry(self) -> np.ndarray:
         """(rows,) whitened residual with geometry alone projected out."""
-        if not self.store.beyond_geometry:
-            self.store.beyond_geometry.append(self.r0 - self.Q @ (self.Q.T @ self.r0))
-        return self.store.beyond_geometry[0]
+        return self.known("beyond geometry", lambda: self.r0 - self.Q @ (self.Q.T @ self.r0))
 
     @property
     def chi2(self) -> float:
@@ -225,7 +191,7 @@ class CandidateScoring:
 
     def candidate_products(self, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whitened columns X (rows, k), X'X and X'r with geometry alone projected out."""
-        key, kept = (candidate.key, hyper), self.store.candidates
+        key, kept = (candidate.key, hyper), self.known("candidates", dict[tuple, Any])
         if key not in kept:
             X = self.whiten(candidate_columns(self.linear, candidate, hyper))
             absorbed = self.absorbed(X)
@@ -234,20 +200,30 @@ class CandidateScoring:
                 kept.pop(next(iter(kept)))
         return kept[key]
 
+    def products_beside(self, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same with all that the problem is conditioned on projected out."""
+        X, S, b = self.candidate_products(candidate, hyper)
+        absorbed = self.conditioned.T @ X
+        return X, S - absorbed.T @ absorbed, b - absorbed.T @ self.along
+
     def batch(self, candidates: list[Candidate]) -> BatchScoring:
         """The candidates that need no scan, with geometry alone projected out."""
-        key, kept = candidate_keys(candidates), self.store.batches
-        if key not in kept:
-            kept[key] = BatchScoring.of(candidates, self.linear, self.whiten, self.absorbed, self.beyond_geometry())
-        return kept[key]
+        return self.known(("batch", candidate_keys(candidates)), lambda: self._batch(FixedBlocks.of(candidates, self.linear)))
+
+    def _batch(self, fixed: FixedBlocks) -> BatchScoring:
+        X = self.whiten(fixed.columns)
+        absorbed, b = self.absorbed(X), X.T @ self.beyond_geometry()
+        blocks = []
+        for _, columns in fixed.sizes:
+            own, gone = X.T[columns], absorbed.T[columns]
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
+        return BatchScoring(fixed, X, blocks)
 
     # Scans --------------------------------------------------------------------------------------------------------
 
     def unit(self, key: UnitKey) -> np.ndarray:
         """(rows,) whitened column of a unit of one component of one location."""
-        if key not in self.store.units:
-            self.store.units[key] = self.whiten(self.linear.unit(*key)[:, :, None])[:, 0]
-        return self.store.units[key]
+        return self.known(("unit", key), lambda: self.whiten(self.linear.unit(*key)[:, :, None])[:, 0])
 
     def twists(self, components: tuple[UnitKey, ...]) -> np.ndarray | None:
         """(P, c, 6) by which components of the arm or of the stations move each pose; None where one moves single centres."""
@@ -273,9 +249,7 @@ class CandidateScoring:
 
     def _moved(self) -> np.ndarray:
         """(rows, 6) whitened columns of a spatial twist of each pose by itself."""
-        if not self.store.moved:
-            self.store.moved.append(self.whiten(self.linear.prediction.gradient))
-        return self.store.moved[0]
+        return self.known("moved", lambda: self.whiten(self.linear.prediction.gradient))
 
     def _units(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         return np.stack([self.unit(key) for key in components], axis=1)
@@ -285,39 +259,29 @@ class CandidateScoring:
 
         What moves a pose as a whole is a combination of the sums of a twist.
         """
-        kept = self.store.pose_products
-        if components not in kept:
-            twists = self.twists(components)
-            if twists is None:
-                kept[components] = self._sums(self._units(components))
-            else:
-                if () not in kept:
-                    kept[()] = self._sums(self._moved())
-                b, A, C = kept[()]
-                kept[components] = (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
-        return kept[components]
+        twists = self.twists(components)
+        if twists is None:
+            return self.known(("sums", components), lambda: self._sums(self._units(components)))
+        b, A, C = self.known("sums", lambda: self._sums(self._moved()))
+        moved = (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
+        return self.known(("sums", components), lambda: moved)
 
     def conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         """(P, c, a): the same with the basis of what the problem is conditioned on."""
-        kept = self.conditioned_products
-        if components not in kept:
-            twists = self.twists(components)
-            if twists is None:
-                kept[components] = self.whiten.pose_products(self._units(components), self.conditioned)
-            else:
-                if () not in kept:
-                    kept[()] = self.whiten.pose_products(self._moved(), self.conditioned)
-                kept[components] = twists @ kept[()]
-        return kept[components]
+        twists = self.twists(components)
+        if twists is None:
+            return self.known_beside(components, lambda: self.whiten.pose_products(self._units(components), self.conditioned))
+        return twists @ self.known_beside((), lambda: self.whiten.pose_products(self._moved(), self.conditioned))
 
     def noise_draws(self) -> np.ndarray:
         """(rows, NOISES) draws of what is left of a residual without any effect once geometry is projected out: covariance I - QQ'."""
-        if not self.store.noise:
-            value, vectors = np.linalg.eigh(self.Q.T @ self.Q)
-            drawn = np.random.default_rng(0).standard_normal((len(self.r0), NOISES))
-            share = vectors / (1.0 + np.sqrt(np.maximum(1.0 - value, 0.0)))
-            self.store.noise.append(drawn - self.Q @ (share @ (vectors.T @ (self.Q.T @ drawn))))
-        return self.store.noise[0]
+        return self.known("noise", self._noise_draws)
+
+    def _noise_draws(self) -> np.ndarray:
+        value, vectors = np.linalg.eigh(self.Q.T @ self.Q)
+        drawn = np.random.default_rng(0).standard_normal((len(self.r0), NOISES))
+        share = vectors / (1.0 + np.sqrt(np.maximum(1.0 - value, 0.0)))
+        return drawn - self.Q @ (share @ (vectors.T @ (self.Q.T @ drawn)))
 
     def scores_of_noise(self, candidate: Candidate, values: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (H, k, k) with geometry alone, and right-hand sides (H, k, NOISES) of recordings without any effect."""
@@ -328,10 +292,12 @@ class CandidateScoring:
         by_pose = self.whiten.pose_products(self._units(candidate.components), self.noise_draws())
         return S, _by_column(functions, by_pose)
 
-    def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate with components beyond all that is projected out."""
-        assert candidate.hyper is not None, "a candidate with components has a hyper-parameter"
-        functions, S, b = self._normal_matrices(candidate, values)
+    def normal_matrices(self, candidate: Candidate, values: Sequence[float | None] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate beyond all that is projected out."""
+        if not candidate.components:
+            _, S, b = zip(*(self.products_beside(candidate, value) for value in values), strict=True)
+            return np.array(S), np.array(b)
+        functions, S, b = self._normal_matrices(candidate, np.asarray(values, dtype=float))
         if self.conditioned.shape[1]:
             absorbed = _by_column(functions, self.conditioned_pose_products(candidate.components))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
@@ -343,14 +309,11 @@ class CandidateScoring:
         Kept of the grid of each candidate, and of the last scan of other values: it is asked for again with draws of noise.
         """
         if candidate.hyper is not None and values is candidate.hyper.values:
-            if candidate.key not in self.store.scans:
-                self.store.scans[candidate.key] = self._scanned(candidate, values)
-            return self.store.scans[candidate.key]
-        key, last = (candidate.key, values.tobytes()), self.store.last_scan
+            return self.known(("scan", candidate.key), lambda: self._scanned(candidate, values))
+        key, last = (candidate.key, values.tobytes()), self.known("last scan", ComputedOnce)
         if key not in last:
             last.clear()
-            last[key] = self._scanned(candidate, values)
-        return last[key]
+        return last(key, lambda: self._scanned(candidate, values))
 
     def _scanned(self, candidate: Candidate, values: np.ndarray) -> tuple[ScannedFunctions, np.ndarray, np.ndarray]:
         b, A, C = self.pose_products(candidate.components)

@@ -168,11 +168,12 @@ def score_with_new_stations(
     new_stations = [k for k in np.unique(obs.station[obs.pose[test]]) if k not in set(obs.station[obs.pose[train]])]
     dof = float(test.sum() * linear.width)
     if new_stations:
-        station, width = linear.station_columns(new_stations)
-        Z = whiten(station) * width
+        station = linear.station_columns(new_stations)
+        Z = whiten(station)
         normal = Z.T @ Z
-        residual = residual - station @ (width * np.linalg.solve(normal + np.eye(len(width)), Z.T @ whiten(residual)))
-        dof -= float(np.trace(np.linalg.solve(normal + np.eye(len(width)), normal)))
+        fitted = normal + np.eye(len(normal))
+        residual = residual - station @ np.linalg.solve(fitted, Z.T @ whiten(residual))
+        dof -= float(np.trace(np.linalg.solve(fitted, normal)))
     r = whiten(residual)
     square, of_every = (float(np.sum(residual[some, :3] ** 2)) for some in (test, every))
     return PredictiveScore(square, int(test.sum()), float(r @ r), dof, of_every, int(every.sum()))

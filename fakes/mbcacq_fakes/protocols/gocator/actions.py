@@ -1,16 +1,13 @@
-"""What commands make the fake sensor do: start, stop, expose, align, restart."""
+"""What commands make the fake sensor do: start, stop, expose, align."""
 
 from __future__ import annotations
 
 import queue
-import threading
 
 from mbcacq_fakes.protocols.gocator import encode
-from mbcacq_fakes.protocols.gocator.files import EXPOSURE
 from mbcacq_fakes.protocols.gocator.replies import BUSY, INVALID_STATE, NOT_LOGGED_IN, UNKNOWN_COMMAND, CommandRefused
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
-_REBOOT_S = 3.0
 _ALIGNED = {"Z": -12.5, "YAngle": 0.25}
 
 
@@ -46,20 +43,11 @@ def trigger(state: SensorState) -> None:
     _request_exposure(state)
 
 
-def reboot(state: SensorState) -> None:
-    """Three seconds after the reply all connections end and the sensor is ready again."""
-
-    def later() -> None:
-        if not state.closing.wait(_REBOOT_S):
-            state.running = False
-            state.drop_connections()
-
-    threading.Thread(target=later, name="fake-gocator-reboot", daemon=True).start()
-
-
 def align(state: SensorState) -> int:
     """The number of the operation; its result follows on the data channel. The state and the transformation change, the points do not."""
-    number = _next_operation(state)
+    with state.lock:
+        state.operations += 1
+        number = state.operations
     state.files.set_transform(_ALIGNED)
     state.settings["alignment_state"] = 1
     state.data.publish([encode.operation_result(encode.ALIGNMENT_RESULT, number)])
@@ -76,20 +64,6 @@ def log_in(state: SensorState, user: int, password: str) -> None:
     if user and password != state.options.password:
         raise CommandRefused(NOT_LOGGED_IN)
     state.settings["login"] = user
-
-
-def expose_automatically(state: SensorState) -> int:
-    """The number of the operation; the exposure found follows on the data channel."""
-    number = _next_operation(state)
-    exposure = int(state.files.number(EXPOSURE)).to_bytes(4, "little")
-    state.data.publish([encode.operation_result(encode.EXPOSURE_RESULT, number, exposure)])
-    return number
-
-
-def _next_operation(state: SensorState) -> int:
-    with state.lock:
-        state.operations += 1
-        return state.operations
 
 
 def _request_exposure(state: SensorState) -> None:

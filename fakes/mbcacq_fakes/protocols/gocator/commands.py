@@ -13,27 +13,19 @@ from collections.abc import Callable
 
 from mbcacq_fakes.protocols.gocator import actions
 from mbcacq_fakes.protocols.gocator.files import CAPACITY
-from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, NOT_FOUND, CommandRefused
+from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, CommandRefused
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
 Handler = Callable[[SensorState, bytes], bytes]
 
-# No reply payload and no effect that a client could see: change password, buddies, replay, seek, step,
-# statistics, outputs, log, date and time, address, factory restore, ping...
+# No reply payload and no effect that a client could see: change password, buddies, replay, seek, step, statistics, outputs, log, date and
+# time, address, factory restore, ping, settings of recording, playback, autostart, quick edit...
 # fmt: off
 ACCEPTED = frozenset({
     0x4004, 0x4005, 0x4011, 0x4012, 0x4013, 0x101E, 0x3013, 0x100E, 0x4301, 0x1014,
-    0x4513, 0x4503, 0x4501, 0x4526, 0x4518, 0x4519, 0x4538, 0x460A, 0x4610, 0x101D,
+    0x4513, 0x4503, 0x4501, 0x4526, 0x4518, 0x4519, 0x4538, 0x460A, 0x4610, 0x101D, 0x4103, 0x4516, 0x4523, 0x452B, 0x4540,
 })
 # fmt: on
-# number of the setter, number of the getter, struct code, name among ``SensorState.settings``
-_SETTINGS = (
-    (0x4103, 0x4104, "i", "alignment_reference"),
-    (0x4516, 0x4517, "B", "recording"),
-    (0x4523, 0x4524, "i", "playback_source"),
-    (0x452B, 0x452C, "B", "autostart"),
-    (0x4540, 0x4541, "B", "quick_edit"),
-)
 
 
 def name_at(payload: bytes, at: int = 0, size: int = 64) -> str:
@@ -78,19 +70,13 @@ def _states(state: SensorState, payload: bytes) -> bytes:
     items = [
         1 if state.running else 0,
         setting["login"],
-        setting["alignment_reference"],
+        0,
         setting["alignment_state"],
-        setting["recording"],
-        setting["playback_source"],
+        0,
+        0,
         seconds,
         microseconds,
-        0,
-        0,
-        setting["autostart"],
-        0,
-        0,
-        0,
-        setting["quick_edit"],
+        *[0] * 7,
         1 if state.options.password else 0,
         0,
     ]
@@ -127,48 +113,6 @@ def _set_default_job(state: SensorState, payload: bytes) -> bytes:
 
 def _loaded_job(state: SensorState, payload: bytes) -> bytes:
     return struct.pack("<64sB", state.files.loaded_job.encode(), state.files.modified)
-
-
-def _setter(code: str, name: str) -> Handler:
-    def handle(state: SensorState, payload: bytes) -> bytes:
-        (state.settings[name],) = struct.unpack_from("<" + code, payload)
-        return b""
-
-    return handle
-
-
-def _getter(code: str, name: str) -> Handler:
-    return lambda state, payload: struct.pack("<" + code, state.settings[name])
-
-
-def _set_variables(state: SensorState, payload: bytes) -> bytes:
-    first, count = struct.unpack_from("<II", payload)
-    if first + count > len(state.variables):
-        raise CommandRefused(BAD_PARAMETER)
-    state.variables[first : first + count] = struct.unpack_from(f"<{count}i", payload, 8)
-    return b""
-
-
-def _get_variables(state: SensorState, payload: bytes) -> bytes:
-    first, count = struct.unpack_from("<II", payload)
-    if first + count > len(state.variables):
-        raise CommandRefused(BAD_PARAMETER)
-    return struct.pack(f"<II{count}i", first, count, *state.variables[first : first + count])
-
-
-def _set_flag(state: SensorState, payload: bytes) -> bytes:
-    (size,) = struct.unpack_from("<I", payload, 256)
-    if len(state.flags) >= 1000:
-        raise CommandRefused(BAD_PARAMETER)
-    state.flags[name_at(payload, size=256)] = payload[260 : 260 + size]
-    return b""
-
-
-def _get_flag(state: SensorState, payload: bytes) -> bytes:
-    try:
-        return block(state.flags[name_at(payload, size=256)])
-    except KeyError:
-        raise CommandRefused(NOT_FOUND) from None
 
 
 def _log_in(state: SensorState, payload: bytes) -> bytes:
@@ -209,7 +153,6 @@ HANDLERS: dict[int, Handler] = {
     0x1001: _action(actions.stop),
     0x4528: _action(actions.snapshot),
     0x4510: _action(actions.trigger),
-    0x4300: _action(actions.reboot),
     0x4102: _action(actions.clear_alignment),
     0x4003: _log_in,
     0x1005: lambda s, p: struct.pack("<i", int(s.files.number("Setup/ScanMode"))),
@@ -217,17 +160,9 @@ HANDLERS: dict[int, Handler] = {
     0x101C: lambda s, p: struct.pack("<q", s.encoder),
     0x1013: lambda s, p: block(s.files.read("_live.cfg")),
     0x4600: lambda s, p: struct.pack("<i", actions.align(s)),
-    0x4601: lambda s, p: struct.pack("<i", actions.expose_automatically(s)),
     0x4522: lambda s, p: b"\0",
     0x4502: lambda s, p: struct.pack("<II", 0, 0),
-    0x4536: _set_variables,
-    0x4535: _get_variables,
-    0x4537: lambda s, p: struct.pack("<I", len(s.variables)),
     0x4539: lambda s, p: struct.pack("<HI", 0, 0),
-    0x4534: _set_flag,
-    0x4533: _get_flag,
-    **{setter: _setter(code, name) for setter, _, code, name in _SETTINGS},
-    **{getter: _getter(code, name) for _, getter, code, name in _SETTINGS},
     **{number: lambda s, p: b"" for number in ACCEPTED},
 }
 

@@ -13,7 +13,7 @@ from mbcacq_fakes.protocols.gocator.options import DISCOVERY_PORT, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
 SIGNATURE = 0x0000504455494D4C
-GET_ADDRESS, SET_ADDRESS, GET_INFO, REPLY = 1, 2, 5, 0x1000
+GET_ADDRESS, GET_INFO, REPLY = 1, 5, 0x1000
 _WEB_PORT, _UPGRADE_PORT = 80, 3192
 
 
@@ -42,8 +42,6 @@ class Discovery(datagrams.Responder):
         if kind == GET_ADDRESS:
             addresses = (address, b"\xff\xff\xff\0", bytes(4), bytes(4))  # own, mask, gateway, spare
             body = struct.pack("<QQ", self._state.serial, 0) + b"".join(bytes(4) + a for a in addresses)
-        elif kind == SET_ADDRESS:
-            body = struct.pack("<Q", self._state.serial)
         elif kind == GET_INFO:
             body = struct.pack("<H", 65) + self._info(address) + self._properties()
         else:

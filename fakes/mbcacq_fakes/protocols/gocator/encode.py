@@ -13,7 +13,7 @@ from mbcacq_fakes.world.frame import ScannerFrame
 LAST = 0x8000
 HEALTH, STAMP, UNIFORM_SURFACE, INTENSITY, MEASUREMENT, SURFACE_POINTS, MEASUREMENT_2 = 0, 1, 8, 9, 10, 28, 31
 PROFILE_POINTS, UNIFORM_PROFILE = 5, 6
-ALIGNMENT_RESULT, EXPOSURE_RESULT = 11, 12
+ALIGNMENT_RESULT = 11
 _SURFACE_STEP, _PROFILE_STEP = 3, 2
 _INVALID_VALUE = -2147483648
 # Bytes that generations before 6 (no arrayed pair) and before 5 (no stream step) leave off at the end of the attributes.
@@ -137,9 +137,9 @@ def health(values: dict[tuple[int, int], int]) -> bytearray:
     return mark_last(message(HEALTH, struct.pack("<IB3s", len(values), 0, bytes(3)) + items))
 
 
-def operation_result(kind: int, operation: int, tail: bytes = b"") -> bytearray:
-    """The later answer to an alignment or automatic exposure: success."""
-    return mark_last(message(kind, struct.pack("<HIi", 8, operation, 1) + tail))
+def operation_result(kind: int, operation: int) -> bytearray:
+    """The later answer to an alignment: success."""
+    return mark_last(message(kind, struct.pack("<HIi", 8, operation, 1)))
 
 
 def message(kind: int, body: bytes) -> bytearray:

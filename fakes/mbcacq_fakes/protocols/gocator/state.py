@@ -34,17 +34,7 @@ class SensorState:
         if options.profiles:
             switches["Setup/ScanMode"] = 2
         self.files, self.faults = Files(tuple(options.jobs), switches), Faults(FAULTS)
-        self.settings: dict[str, int] = {
-            "alignment_reference": 0,
-            "alignment_state": 0,
-            "login": 0,
-            "recording": 0,
-            "playback_source": 0,
-            "autostart": 0,
-            "quick_edit": 0,
-        }
-        self.variables: list[int] = [0, 0, 0, 0]
-        self.flags: dict[str, bytes] = {}
+        self.settings = {"alignment_state": 0, "login": 0}
         self.encoder, self.temperature_C = 0, 41.0
         self.indicators: dict[tuple[int, int], int] = {}
         self.running, self.operations, self.exposures = False, 0, 0

@@ -40,7 +40,7 @@ class Resources:
     """
 
     def __init__(self, serial: str, model: str, jobs: tuple[str, ...], trigger: Callable[[], None]) -> None:
-        self.serial, self.model, self._trigger = serial, model, trigger
+        self.serial, self.model, self.api, self._trigger = serial, model, "1.0.0", trigger
         self.running = self.recording = self.replaying = False
         self.recorded: list[Any] = []
         self.position = 0
@@ -87,7 +87,7 @@ class Resources:
 
     def _read(self, path: str, args: dict[str, Any]) -> dict[str, Any]:
         readers: dict[str, Callable[[], dict[str, Any]]] = {
-            "/version": lambda: {"apiVersion": "1.0.0"},
+            "/version": lambda: {"apiVersion": self.api},
             "/environ/info": lambda: {"applicationType": 0, "serialNumber": self.serial, "model": self.model},
             "/environ/remoteController": lambda: {"remoteConnected": self.remote, "ipAddress": "192.168.1.50", "controlPort": 3640},
             "/environ/ipConfig": lambda: {"interfaces": [{"ipAddress": "192.168.1.10", "mask": "255.255.255.0"}]},

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
-from mbcacq_fakes.protocols.listener import Listener
-from mbcacq_fakes.protocols.started import Started
+from mbcacq_fakes.protocols.sensor_server import SensorServer
 from mbcacq_fakes.protocols.tcp_server import ClientThreads
 from mbcacq_fakes.world.frame import ScannerFrame
 
@@ -59,7 +58,7 @@ class FakeGoPxLOptions:
     discovery_reply_port: int = DISCOVERY_PORT
 
 
-class FakeGoPxL(Started):
+class FakeGoPxL(SensorServer):
     """``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the world's frame.
 
     clock: the world's time in s; without it the sensor counts from its start.
@@ -67,54 +66,22 @@ class FakeGoPxL(Started):
 
     def __init__(self, source: Source, settings: FakeGoPxLOptions | None = None, clock: Callable[[], float] | None = None) -> None:
         self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
-        self.faults = Faults(FAULTS)
+        super().__init__(self.settings.host, Faults(FAULTS), threading.Event(), ClientThreads())
         self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
         self._watchers = control.Watchers(lambda path: self.resources.handle("read", path, {}, {}))
         self.resources.changed = self._watchers.tell
         self.data = Publisher()
         self._asked: queue.Queue[None] = queue.Queue(_WAITING)
         self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
-        self._closing = threading.Event()
-        self._controls = ClientThreads()
-        self._listeners: list[Listener] = []
-        self._discovery: GoPxLDiscovery | None = None
-        self._thread: threading.Thread | None = None
 
-    def start(self) -> Self:
-        """Returns when the ports listen. Raises OSError where one cannot be taken."""
+    def open(self) -> GoPxLDiscovery | None:
         s = self.settings
-        try:
-            for port, take in ((s.control_port, self._accept_control), (s.data_port, self.data.add)):
-                self._listeners.append(Listener(s.host, port, take, lambda: bool(self.faults.get("refuse_connections"))))
-            self.ports = GoPxLPorts(*(listener.port for listener in self._listeners))
-            self.resources.gdp_port = self.ports.data
-            if s.discovery_port is not None:
-                self._discovery = GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
-                self._discovery.start()
-        except OSError:
-            self.stop()
-            raise
-        self._thread = threading.Thread(target=self._run, name="fake-gopxl", daemon=True)
-        for starter in (*self._listeners, self._thread):
-            starter.start()
-        return self
+        self.ports = GoPxLPorts(*self.listen(((s.control_port, self._accept_control), (s.data_port, self.data.add))))
+        self.resources.gdp_port = self.ports.data
+        return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
 
-    def stop(self) -> None:
-        """Idempotent; returns when all threads and sockets are gone."""
-        self._closing.set()
-        for listener in self._listeners:
-            listener.close()
-        if self._discovery is not None:
-            self._discovery.close()
-        self.drop_connections()
-        self._controls.join(5.0)
-        if self._thread is not None:
-            self._thread.join(5.0)
-        self._listeners, self._discovery, self._thread = [], None, None
-
-    @property
-    def discovery_port(self) -> int | None:
-        return self._discovery.port if self._discovery else None
+    def work(self) -> dict[str, Callable[[], None]]:
+        return {"fake-gopxl": self._run}
 
     @property
     def scans(self) -> int:
@@ -122,7 +89,6 @@ class FakeGoPxL(Started):
         return self._made
 
     def drop_connections(self) -> None:
-        """Close every connection of every client; new ones are welcome."""
         self._controls.shut_down()
         self.data.close()
 

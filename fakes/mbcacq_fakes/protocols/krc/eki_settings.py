@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from mbcacq_fakes.protocols.faults import refuse_unknown
+from mbcacq_fakes.protocols.krc.settings import ArmSettings
 
 FAULTS = (
     "silence",  # no telegram leaves the controller
@@ -50,13 +50,12 @@ COUNTED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class EkiSettings:
+class EkiSettings(ArmSettings):
     """sources: name -> text of the KRL programs and data lists, of which ``program`` runs in the robot interpreter and ``link`` has the
     two entries mbcacq_link_init and mbcacq_link_step for the submit interpreter. channel: text of the EKI channel's XML.
 
-    Angles deg, lengths mm. tools, bases: number -> X, Y, Z, A, B, C. loads: number -> kg. dh: see KrcSettings. realtime: by the clock,
-    or as fast as the client gives signs of life. lag_s: of the arm behind its set point. encoder_noise_deg,
-    encoder_step_deg: as in KrcSettings, of $AXIS_ACT_MEAS.
+    tools, bases: number -> X, Y, Z (mm), A, B, C (deg). loads: number -> kg. realtime: by the clock, or as fast as the client gives signs
+    of life.
     """
 
     sources: dict[str, str]
@@ -65,13 +64,8 @@ class EkiSettings:
     port: int = 0
     program: str = "mbcacq_eki"
     link: str = "mbcacq_link"
-    realtime: bool = True
     model: str = "#KR10R1100_2 C4 SV"
     machine_data: str = "V8.6.11"
-    start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
-    limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
-    speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
-    dh: tuple[tuple[float, ...], ...] = ()
     tools: dict[str, tuple[float, ...]] = field(default_factory=dict)
     bases: dict[str, tuple[float, ...]] = field(default_factory=dict)
     loads: dict[str, float] = field(default_factory=dict)
@@ -79,16 +73,9 @@ class EkiSettings:
     override: int = 100
     mode: str = "#EX"
     running: bool = True
-    lag_s: float = 0.012
-    encoder_noise_deg: float = 2e-4
-    encoder_step_deg: float = 5e-5
     clock_ms: int = 1_000_000
-    faults: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         refuse_unknown(self.faults, FAULTS)
         if self.mode not in ("#T1", "#T2", "#AUT", "#EX"):
             raise ValueError("mode must be #T1, #T2, #AUT or #EX")
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import cos, radians, sin, sqrt
+from math import sqrt
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from mbcacq_fakes.world.rigid import invert
+from mbcacq_fakes.world.rigid import invert, rigid
 
 _RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
 
 
 def frame(values: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
-    x, y, z, *turned = map(float, values)
-    (sa, ca), (sb, cb), (sc, cc) = [(sin(angle), cos(angle)) for angle in map(radians, turned)]
-    return np.array(
-        [
-            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc, x],
-            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc, y],
-            [-sb, cb * sc, cb * cc, z],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    return rigid(Rotation.from_euler("ZYX", values[3:], degrees=True).as_matrix(), np.array(values[:3], dtype=float))
 
 
 def angles(T: np.ndarray) -> tuple[float, ...]:

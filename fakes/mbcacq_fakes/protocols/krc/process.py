@@ -1,26 +1,26 @@
-"""The fake controller's process: the cycle, its pacing and its faults. Started by server.FakeKrc with settings on standard input."""
+"""The fake controller's process: the cycle, its pacing and its faults. Started by server.FakeKrc."""
 
 from __future__ import annotations
 
 import gc
-import json
 import os
 import random
-import signal
 import socket
 import sys
 import threading
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from math import radians
+from typing import Any
 
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.control import Control
+from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
 from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.session import OPERATOR, PC_STOP, FakeRsiSession
-from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
+from mbcacq_fakes.protocols.krc.settings import COUNTED, FAULTS, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
 _TURN = 1 << 32  # the counter has 32 bits
@@ -32,14 +32,16 @@ def _zero() -> Sequence[float]:
     return (0.0,) * 6
 
 
-class RsiController:
+class RsiController(KukaController):
     """``cycle`` is one sensor cycle: move the arm, send, wait for the answer, count."""
 
-    def __init__(
-        self, settings: KrcSettings, state: ArmState, control: Control, sock: socket.socket, foreign: socket.socket, gone: threading.Event
-    ) -> None:
-        self._settings, self._state, self._control, self._socket, self._foreign = settings, state, control, sock, foreign
-        self._gone = gone
+    def __init__(self, settings: KrcSettings, state: ArmState) -> None:
+        super().__init__(FAULTS, COUNTED, settings.faults)
+        self._settings, self._state, self._gone = settings, state, threading.Event()
+        self._socket, self._foreign = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self._socket.bind(("127.0.0.1", 0))
+        self.port = self._socket.getsockname()[1]
+        self._log = array("d")
         self._cycle_s = settings.cycle_ms * 1e-3
         self._arm = _arm(settings, self._cycle_s)
         self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, settings.seed)
@@ -47,26 +49,26 @@ class RsiController:
         self._reader = SenReader(settings.correction, settings.stop_element)
         self._random = random.Random(settings.seed)
         self._ipoc, self._cycles, self._sessions, self._answers, self._late, self._rejected = settings.ipoc, 0, 0, 0, 0, 0
-        self._fault_seq, self._fault_code, self._down_until, self._next, self._missed = -1, 0, 0.0, time.monotonic(), 0
+        self._fault_code, self._down_until, self._next, self._missed = 0, 0.0, time.monotonic(), 0
         self._client = tuple(settings.client)
         self._body: tuple[object, str] = (None, "")
         self._pose: tuple[list[float], Sequence[float]] = ([], ())
         self._sources = self._element_sources()
         self._outputs = dict.fromkeys(settings.digital_outputs, False)  # $OUT
+        self._written: tuple[float, ...] = (-1.0,)  # how a telegram is written
         self._begin_session()
 
     def cycle(self) -> None:
-        if self._control.fault_seq != self._fault_seq:
-            self._read_faults()
+        self._choose_template()
         self._ipoc = (self._ipoc + self._settings.cycle_ms) % _TURN
         self._cycles += 1
-        session, arm, faults = self._session, self._arm, self._faults
-        if self._stopped_by_operator():
+        session, arm, faults = self._session, self._arm, self.faults
+        if faults.use("stop"):
             session.ended = OPERATOR
         if session.ended is None:
-            session.apply(faults["clamp_deg"] or self._settings.clamp_deg, faults["ignore"] != 0.0)
-        if self._control.led_seq and session.start != (led := self._control.led()):
-            session.lead(led)
+            session.apply(faults.get("clamp_deg") or self._settings.clamp_deg, bool(faults.get("ignore")))
+        if self.led is not None and session.start != self.led:
+            session.lead(self.led)
             self._planned_pose = self._kinematics.pose(session.start)
         self._switch()
         moved = arm.step(session.set_point)
@@ -83,7 +85,12 @@ class RsiController:
     def _switch(self) -> None:
         """Carry out what the last answer says of the outputs; a session that ends, but for Stop, leaves them as they are until the program
         begins again."""
-        if not self._outputs or self._faults["stuck"] or self._session.ended not in (None, PC_STOP) or time.monotonic() < self._down_until:
+        if (
+            not self._outputs
+            or self.faults.get("stuck")
+            or self._session.ended not in (None, PC_STOP)
+            or time.monotonic() < self._down_until
+        ):
             return
         for number, value in self._session.outputs.items():
             if self._outputs[number] != value:
@@ -93,20 +100,20 @@ class RsiController:
     # one exchange
 
     def _exchange(self, moved: bool) -> None:
-        faults, session = self._faults, self._session
+        faults, session = self.faults, self._session
         if self._settings.realtime:
             period = self._cycle_s * self._settings.stretch
             time.sleep(max(0.0, self._next - time.monotonic()))
             self._next = max(self._next, time.monotonic() - period) + period
-        if faults["delay_ms"]:
-            time.sleep(min(faults["delay_ms"] * 1e-3, self._cycle_s))
+        if delay_ms := faults.get("delay_ms") or 0.0:
+            time.sleep(min(delay_ms * 1e-3, self._cycle_s))
         ipoc = self._ipoc + (1 if self._counted("wrong_ipoc") else 0)
         sent = time.monotonic()
-        on_its_way = not faults["silence"] and not self._lost("drop")
+        on_its_way = not faults.get("silence") and not self._lost("drop")
         if on_its_way:
             self._send(self._telegram(ipoc, moved))
         answer, latency = self._await(ipoc, sent, on_its_way)
-        late = bool(faults["delay_ms"]) and faults["delay_ms"] >= self._settings.cycle_ms
+        late = delay_ms >= self._settings.cycle_ms
         accepted = not late and not self._lost("drop_answers") and answer is not None and session.accept(answer, ipoc)
         if accepted:
             self._answers += 1
@@ -117,9 +124,9 @@ class RsiController:
             thrown_away = answer is not None and answer.ipoc == str(ipoc)  # in time, but of another SENTYPE
             self._late += session.active or thrown_away
             session.miss(thrown_away)
-        if self._control.log_rows > 1:
+        if self._settings.log:
             correction = [answer.correction.get(a, 0.0) for a in ("A1", "A2", "A3", "A4", "A5", "A6")] if answer else [0.0] * 6
-            self._control.log(ipoc, latency, accepted, *self._arm.q, *correction)
+            self._log.extend((ipoc, latency, accepted, *self._arm.q, *correction))
         self._pace()
 
     def _await(self, ipoc: int, sent: float, on_its_way: bool) -> tuple[RsiAnswer | None, float]:
@@ -163,7 +170,7 @@ class RsiController:
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("no_aipos"):
             return f'<Rob Type="KUKA"><Delay D="{self._session.delay}"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
-        key = (self._session.delay, self._session.start, self._fault_seq, *self._outputs.values())
+        key = (self._session.delay, self._session.start, self._written, *self._outputs.values())
         if moved or self._encoders.noisy or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
         if self._counted("jump"):
@@ -223,35 +230,24 @@ class RsiController:
         else:
             time.sleep(self._cycle_s if self._settings.realtime else 0.0)
 
-    def _stopped_by_operator(self) -> bool:
-        if self._faults["stop"]:
-            self._control.set_faults({"stop": 0.0})
-            return True
-        return False
-
-    def _read_faults(self) -> None:
-        self._fault_seq = self._control.fault_seq
-        self._faults = self._control.faults()
-        self._left = {name: int(self._faults[name]) for name in COUNTED if self._faults[name]}
-        for name in self._left:
-            self._control.set_faults({name: 0.0})
-        self._fault_seq = self._control.fault_seq
-        quirks = {name: self._faults[name] != 0.0 for name in ("upper_type", "swap")}
+    def _choose_template(self) -> None:
+        settings, written = self._settings, tuple(float(self.faults.get(name) or 0.0) for name in ("spaced", "upper_type", "swap"))
+        if written == self._written:
+            return
+        self._written, (spaced, upper_type, swap) = written, written
         self._template = RobTemplate(
-            self._settings.elements, self._settings.precision, int(self._faults["spaced"]), outputs=self._settings.digital_outputs, **quirks
+            settings.elements, settings.precision, int(spaced), bool(upper_type), bool(swap), settings.digital_outputs
         )
 
     def _counted(self, name: str) -> bool:
-        if not self._left or not self._left.get(name) or not self._session.active:
-            return False
-        self._left[name] -= 1
-        return True
+        return self._session.active and bool(self.faults.use(name))
 
     def _lost(self, name: str) -> bool:
-        return self._faults[name] > 0.0 and self._random.random() < self._faults[name]
+        probability = self.faults.get(name)
+        return bool(probability) and self._random.random() < probability
 
     def _publish(self) -> None:
-        arm, control = self._arm, self._control
+        arm = self._arm
         self._state.write(
             self._ipoc * 1e-3,
             tuple([radians(v) for v in arm.q]),
@@ -261,18 +257,37 @@ class RsiController:
             arm.arrivals,
             self._fault_code,
         )
-        if self._cycles % 25 and not arm.standstill:
-            return
-        for name, value in (
-            ("cycles", self._cycles),
-            ("sessions", self._sessions),
-            ("answers", self._answers),
-            ("late", self._late),
-            ("rejected", self._rejected),
-            ("active", self._session.active),
-            ("ended", self._fault_code),
-        ):
-            control.count(name, value)
+
+    def report(self) -> dict[str, Any]:
+        return {
+            "cycles": self._cycles,
+            "sessions": self._sessions,
+            "answers": self._answers,
+            "late": self._late,
+            "rejected": self._rejected,
+            "active": self._session.active,
+            "ended": self._fault_code,
+        }
+
+    def log(self) -> bytes:
+        return self._log.tobytes()
+
+    def run(self, gone: threading.Event) -> None:
+        self._gone = gone
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        if self._settings.realtime:
+            try:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+            except (AttributeError, OSError):
+                pass
+        while not gone.is_set():
+            self.cycle()
+
+    def close(self) -> None:
+        self._socket.close()
+        self._foreign.close()
 
 
 def _arm(settings: KrcSettings, cycle_s: float) -> IdealArm:
@@ -283,33 +298,5 @@ def _arm(settings: KrcSettings, cycle_s: float) -> IdealArm:
     return MovingArm(settings.start_deg, cycle_s, settings.lag_s, settings.moving)
 
 
-def main() -> int:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if not (line := sys.stdin.readline()):
-        return 0  # whoever started this was interrupted
-    start = json.loads(line)
-    settings = KrcSettings(**start["settings"])
-    gone = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), gone.set()), daemon=True).start()
-    state, control = ArmState.attach(start["state"]), Control.attach(start["control"])
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    if settings.realtime:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
-        except (AttributeError, OSError):
-            pass
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
-        sock.bind((start["bind"], 0))
-        controller = RsiController(settings, state, control, sock, foreign, gone)
-        print(json.dumps({"ready": sock.getsockname()[1]}), flush=True)
-        while not gone.is_set():
-            controller.cycle()
-    state.close()
-    control.close()
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve(lambda settings, state: RsiController(KrcSettings(**settings), state)))

@@ -16,7 +16,7 @@ PROFILES = {
 }
 
 ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
-COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump")
+COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump", "stop")
 JUMP_DEG = 30.0
 FAULTS = (
     "silence",  # no telegram leaves the controller
@@ -39,31 +39,47 @@ FAULTS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class KrcSettings:
-    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a
-    second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is waited for, and
-    how long where the cycle before had none at all.
+class ArmSettings:
+    """What both fake controllers are told of the arm and its clock. Angles deg, speeds deg/s.
 
-    Angles deg, speeds deg/s, accelerations deg/s^2. speed_deg_s, acceleration_deg_s2: a correction that asks an axis for ``overspeed``
-    times more ends the session; accelerations are watched where they are given and no answer was missing.
-    limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full range. external_deg: what EIPos shows.
-    empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
-    timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
-    beta_deg) from which RIst is computed, or none. digital_outputs: numbers n of $OUT[n] that the files on it switch by DiO and report as
-    Digout; files of before have none. layout: a name of PROFILES or the elements themselves.
-    moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
-    lag_s: first-order lag of the arm behind a dead time of two cycles. encoder_noise_deg, encoder_step_deg: how far AIPos scatters about
-    where the arm is, in any cycle, and in which steps it is read; zero for none. rearm_s: pause before telegrams are offered again after
-    a fault.
+    realtime: by the clock, or as fast as the client lets it. limits_deg: (6, 2). dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
+    beta_deg) from which the pose is computed, or none. lag_s: first-order lag of the arm behind its set point. encoder_noise_deg,
+    encoder_step_deg: how far the measured axis angles scatter about where the arm is, in any cycle, and in which steps they are read;
+    zero for none. faults: those it begins with.
     """
 
-    client: tuple[str, int] = ("127.0.0.1", 49152)
     realtime: bool = True
-    stretch: float = 1.0
-    answer_wait_s: tuple[float, float] = (0.5, 0.01)
     start_deg: tuple[float, ...] = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
     limits_deg: tuple[tuple[float, float], ...] = ((-185, 185), (-185, 65), (-138, 175), (-350, 350), (-130, 130), (-350, 350))
     speed_deg_s: tuple[float, ...] = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
+    dh: tuple[tuple[float, ...], ...] = ()
+    lag_s: float = 0.012
+    encoder_noise_deg: float = 2e-4
+    encoder_step_deg: float = 5e-5
+    faults: dict[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class KrcSettings(ArmSettings):
+    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. lag_s: behind a dead time of
+    two cycles. stretch: by the clock, a second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is
+    waited for, and how long where the cycle before had none at all.
+
+    speed_deg_s, acceleration_deg_s2: a correction that asks an axis for ``overspeed`` times more ends the session; accelerations (deg/s^2)
+    are watched where they are given and no answer was missing. clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full
+    range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
+    timeout: late packets that end the session; counting: 'total' or 'consecutive'. digital_outputs: numbers n of $OUT[n] that the files
+    on it switch by DiO and report as Digout; files of before have none. layout: a name of PROFILES or the elements themselves.
+    moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
+    rearm_s: pause before telegrams are offered again after a fault.
+    """
+
+    client: tuple[str, int] = ("127.0.0.1", 49152)
+    stretch: float = 1.0
+    answer_wait_s: tuple[float, float] = (0.5, 0.01)
     acceleration_deg_s2: tuple[float, ...] | None = None
     overspeed: float = 1.05
     external_deg: tuple[float, ...] = (0.0,) * 6
@@ -81,15 +97,10 @@ class KrcSettings:
     empty_first: int = 0
     digital_outputs: tuple[int, ...] = ()
     layout: str | tuple[str, ...] = "mbcacq"
-    dh: tuple[tuple[float, ...], ...] = ()
     moving: dict[str, Any] | None = None
-    lag_s: float = 0.012
-    encoder_noise_deg: float = 2e-4
-    encoder_step_deg: float = 5e-5
     rearm_s: float = 2.0
     log: bool = False
     seed: int = 0
-    faults: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if isinstance(self.layout, str) and self.layout not in PROFILES:
@@ -101,9 +112,6 @@ class KrcSettings:
         if self.cycle_ms not in (4, 12) or not 1 <= self.precision <= 32 or self.timeout < 1:
             raise ValueError("cycle_ms must be 4 or 12, precision 1 to 32, timeout at least 1")
         refuse_unknown(self.faults, FAULTS)
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
     @property
     def elements(self) -> tuple[str, ...]:
