@@ -89,7 +89,7 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         q = read_joints(table, cell.robot, "q")
         assert q is not None, "required"
         if not cell.robot.chain.sliding:
-            refuse_radians(table, table.group(joints))
+            refuse_radians(table, table.numbers(joints))
     else:
         table.require(["pose", "station"])
         q = by_flange.coordinates(table)
@@ -105,7 +105,7 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         out["time_s"] = table.time("time_s")
     if table.has(["sensor_time_s", *FLANGE_VELOCITY]):
         out["sensor_time_s"] = table.number("sensor_time_s")
-        linear, turning = (table.group(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
+        linear, turning = (table.numbers(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
         out["flange_velocity"] = np.concatenate([linear, turning], axis=1)
     if table.has("payload_kg"):
         out["payload_kg"] = table.number("payload_kg")
@@ -149,7 +149,7 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
             f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station"
         )
     _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
-    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
+    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.numbers(XYZ)}
     if table.has(["n_points"]):
         values = table.number("n_points")
         whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53
