@@ -20,7 +20,7 @@ class Mover:
     """Moves the arm and remembers from which side each axis arrived."""
 
     def __init__(self, robot: Robot, cell: Cell, limits: MotionLimits, collector: CycleCollector) -> None:
-        self._robot, self._joint_limits, self.limits, self._collector = robot, cell.robot.limits, limits, collector
+        self._robot, self._model, self.limits, self._collector = robot, cell.robot, limits, collector
         self._arms = arms_beyond(cell)
         self.direction = np.zeros(cell.robot.n, dtype=int)
 
@@ -40,7 +40,7 @@ class Mover:
         """Move to ``target`` (n,) rad, wait until the measured joints stand there; limits: in place of the run's. Raises what stopped the
         arm."""
         limits = limits or self.limits
-        check_target(target, self._joint_limits)
+        check_target(target, self._model)
         start = self._robot.state()
         travel = target - start.q
         self.direction = np.where(np.abs(travel) > MOVED, np.sign(travel), self.direction).astype(int)

@@ -155,8 +155,9 @@ def residual_mm(o: Observations, screening: bool = False) -> float:
 
 def wrong_length(o: Observations) -> str:
     """A sentence on a stated length that the poses of a flange contradict: the scale of the measured places that fits best, of all three
-    coordinates or of the one along the scanner's z; '' if it is 1 within its uncertainty, or most of the misfit stays with it. Links of
-    an arm may err as a scale does, so that it is asked of poses of a flange alone; balls of one scan show a scale by their distances."""
+    coordinates or of the one along the scanner's z; '' if it is 1 within its uncertainty, or most of the misfit stays with it. Only poses
+    of a flange are asked for a scale, because links of an arm may err as a scale does. Balls of one scan show a scale by their distances.
+    """
     if not o.cell.robot.of_flange_poses or np.bincount(o.pose).max(initial=0) != 1 or o.n_centres < LEAST_CENTRES:
         return ""
     few, found = subset(o), []

@@ -97,6 +97,9 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
     if any(artefact.id == SCENE for artefact in observations.cell.artefacts):
         said = "that of the scanner, since a part has no length that is known; an artefact with a certificate would show it"
         cell = replace(cell, extra={**cell.extra, "scale_from": said})
+        if len(alone := observations.pose_id[np.bincount(observations.pose, minlength=observations.n_poses) == 0]):
+            some = ", ".join(map(str, alone.tolist()))
+            cell = warned(cell, f"{len(alone)} scans overlap too little with the others and take no part (poses {some})")
     step = cell.fit.observations.cell.joint_step
     return warned(cell, rounding_sentence(step)) if step else cell
 

@@ -23,7 +23,7 @@ from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.cell import Measurement, RobotModel
-from mbcacq.model.json_text import EveryKey, Limits, Matrix, Transform, Vector, as_list, damaged, from_document
+from mbcacq.model.json_text import EveryKey, Limits, Matrix, RowsOfTransform, Transform, Vector, as_list, as_rows, damaged, from_document
 
 FORMAT = "mbcacq-result/1"
 CURE = "give the result.json of a calibration, or write it anew with mbcacq calibrate"
@@ -39,13 +39,18 @@ Twist = Annotated[np.ndarray, as_list(Annotated[list[FiniteFloat], Field(min_len
 class RobotInResult(EveryKey):
     """The arm, as described and as calibrated."""
 
-    left_out = ("flange_poses",)
+    left_out = ("flange_poses", "sliding", "floor", "root", "follows", "axes")
     later = ("limits",)
 
     name: str
     flange_poses: Annotated[bool, Field(description="whether the poses are of the flange, and not joint angles")] = False
     sign: Annotated[Vector, Field(description="direction of rotation of each axis, +1 or -1")]
     limits: Annotated[Limits | None, Field(description="smallest and largest angle of each axis, rad; null: without end")] = None
+    sliding: Annotated[tuple[int, ...], Field(description="indices of the prismatic joints: their positions are in mm")] = ()
+    floor: Annotated[int, Field(description="how many of the first joints carry the artefact")] = 0
+    root: Annotated[RowsOfTransform | None, Field(description="frame of the first joint in the base; null: they are one")] = None
+    follows: Annotated[tuple[tuple[int, int, float], ...], Field(description="joint, leader and ratio of those that others move")] = ()
+    axes: Annotated[tuple[str, ...], Field(description="names of the axes; empty: A1 ..")] = ()
     nominal: Annotated[Rows, Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")]
     calibrated: Rows
     errors: Annotated[Rows, Field(description="calibrated minus nominal")]
@@ -59,6 +64,11 @@ class RobotInResult(EveryKey):
             flange_poses=robot.of_flange_poses,
             sign=nominal.sign,
             limits=None if robot.of_flange_poses else robot.limits,
+            sliding=nominal.sliding,
+            floor=nominal.floor,
+            root=as_rows(nominal.root),
+            follows=nominal.follows,
+            axes=robot.names,
             nominal=_rows(nominal),
             calibrated=_rows(calibrated),
             errors=dict(zip(PARAMETERS, errors, strict=True)),
@@ -75,7 +85,10 @@ class RobotInResult(EveryKey):
         return self._chain(self.calibrated)
 
     def _chain(self, rows: Rows) -> Chain:
-        return FlangePoses.new() if self.flange_poses else Chain(self.sign, *(rows[p] for p in PARAMETERS))
+        if self.flange_poses:
+            return FlangePoses.new()
+        root = None if self.root is None else np.array(self.root)
+        return Chain(self.sign, *(rows[p] for p in PARAMETERS), sliding=self.sliding, floor=self.floor, root=root, follows=self.follows)
 
 
 def _rows(chain: Chain) -> Rows:

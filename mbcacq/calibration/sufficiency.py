@@ -13,7 +13,7 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.options import CalibrationOptions, select_phases
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
+from mbcacq.model.cell import SCENE, TARGET_IN_BASE, RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import DEGREE, K, from_degrees, in_degrees, uncertainty
 
@@ -47,6 +47,8 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
     if options.method != "ml" or not (options.kinematics and options.refuse) or obs.phase is None or "position" in obs.phase:
         return options
     if at_one_station(select_phases(obs, options)):
+        if any(artefact.id == SCENE for artefact in obs.cell.artefacts):
+            return replace(options, refuse=False)  # its scans are to fit each other, which takes the arm's errors as far as they show
         return replace(options, kinematics=False)
     turned = orientation_range(obs, enough=LEAST_ROTATION) >= LEAST_ROTATION
     return replace(options, refuse=False) if turned else options

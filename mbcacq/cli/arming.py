@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from mbcacq.cli.terminal import echo
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
+from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.motion_limits import T1_MM_S
-from mbcacq.quantities import in_degrees
 
 if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan, PlannedPose
     from mbcacq.plan.motion_preview import Swept
 
 
@@ -64,14 +63,9 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
     yield f"  poses      {len(poses)}, in {sweep.segments} motions"
     yield f"  speed      {100 * use.speed:g} % of the axes' largest speeds; the scanner up to {sweep.speed_mm_s:.0f} mm/s"
     yield f"  workspace  {box} mm in the base frame, swept by flange and scanner; {fence}"
-    yield f"  first      straight from where it stands to home, {_angles(use.home)}"
-    yield f"  then       pose {poses[0].number} at station {poses[0].station}, {_angles(poses[0].q)}"
+    yield f"  first      straight from where it stands to home, {robot.in_words(use.home)}"
+    yield f"  then       pose {poses[0].number} at station {poses[0].station}, {robot.in_words(poses[0].q)}"
     t1 = use.speed * T1_MM_S / sweep.speed_mm_s if sweep.speed_mm_s > T1_MM_S else None
     slower = f", with robot: speed {t1:.2g} to stay below {T1_MM_S:g} mm/s" if t1 else ""
     yield f"For a first run of a plan: operating mode T1{slower}, a hand on the enabling switch, and --step."
     yield "Is the cell clear, and the stop button at hand?"
-
-
-def _angles(q: Any) -> str:
-
-    return " ".join(f"A{k} {angle:.1f}°" for k, angle in enumerate(in_degrees(q), 1))

@@ -175,7 +175,7 @@ def _poses(content: dict[str, Any]) -> Iterator[str]:
         return
     station = max(len("station"), *(len(p["station"]) for p in poses))
     wide, digits = (8, 2) if len(poses[0]["q_deg"]) <= 6 else (7, 1)
-    axes = "".join(f"{f'A{i + 1}':>{wide}}" for i in range(len(poses[0]["q_deg"])))
+    axes = "".join(f"{axis['name']:>{wide}}" for axis in content["axes"])
     yield f"{'pose':>4} {'at s':>5}  {'station':{station}} {'balls':>5}{axes}  via"
     for before, p in zip([None, *poses], poses, strict=False):
         if before is None or p["step"] != before["step"]:
@@ -192,6 +192,6 @@ def _time_sentence(content: dict[str, Any]) -> str:
 
 
 def _axis_sentence(axis: dict[str, Any]) -> str:
-    units = {"speed": "°/s", "acceleration": "°/s²", "jerk": "°/s³"}
-    figures = (f"{axis[what]:.0f} of {axis[f'{what}_limit']:.0f} {unit}" for what, unit in units.items())
-    return f"A{axis['axis']}: at most {', '.join(figures)}"
+    units = {"speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
+    figures = (f"{axis[what]:.0f} of {axis[f'{what}_limit']:.0f} {axis['unit']}{per}" for what, per in units.items())
+    return f"{axis['name']}: at most {', '.join(figures)}"

@@ -7,21 +7,8 @@ and C its inverse, a pose turns C into C - C B' inv(I + B C B') B C; what that g
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-
-
-class Criterion(Protocol):
-    """What a design makes small."""
-
-    def value(self, C: np.ndarray) -> float:
-        """The criterion of a covariance C (G, G); the smaller the better."""
-        ...
-
-    def gains(self, C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
-        """(P,) decrease of ``value`` by adding (sign 1) or taking away (sign -1) each block of B (P, r, G)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -31,9 +18,11 @@ class AOptimality:
     target: np.ndarray
 
     def value(self, C: np.ndarray) -> float:
+        """The criterion of a covariance C (G, G); the smaller the better."""
         return float(np.sum(self.target * C))
 
     def gains(self, C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
+        """(P,) decrease of ``value`` by adding (sign 1) or taking away (sign -1) each block of B (P, r, G)."""
         BC = B @ C
         S = _schur(B, C, sign)
         gain = sign * np.trace(np.linalg.solve(S, BC @ self.target @ np.swapaxes(BC, 1, 2)), axis1=1, axis2=2)
@@ -55,6 +44,9 @@ class DOptimality:
         inner = np.linalg.inv(np.linalg.inv(C)[rest, rest]) if C.shape[0] > self.own else np.zeros((0, 0))
         T = _schur(B[..., rest], inner, sign)
         return _spared(np.linalg.slogdet(S)[1] - np.linalg.slogdet(T)[1], S, sign)
+
+
+Criterion = AOptimality | DOptimality
 
 
 def updated_covariance(C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:

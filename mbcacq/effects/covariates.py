@@ -98,6 +98,10 @@ class Covariates:
         """False for an external instrument that measures a target on the flange."""
         return self.obs.cell.measurement != TARGET_IN_BASE
 
+    def position(self, joint: int) -> str:
+        """The covariate that is a joint's own position: q1 .. an angle (rad), s1 .. of a prismatic joint (mm)."""
+        return f"{'s' if joint in self.obs.cell.robot.chain.sliding else 'q'}{joint + 1}"
+
     @cached_property
     def masses_known(self) -> bool:
         """Whether any mass of the links or of the payload is given."""
@@ -148,7 +152,7 @@ class Covariates:
         robot = self.obs.cell.robot
         mass, com = self.links
         frames = self.nominal_frames
-        weight = gravity.STANDARD_GRAVITY * robot.gravity
+        weight = gravity.STANDARD_GRAVITY * gravity.downward(robot.chain, frames, robot.gravity).reshape(-1, 3)
         load = self.payload_mass if self.masses_known else np.ones(len(frames))
         tool = np.einsum("pij,pj->pi", frames[:, -1, :3, :3], self.payload_com) + frames[:, -1, :3, 3]
         origin = frames[:, frame, :3, 3]
@@ -160,7 +164,10 @@ class Covariates:
 
     def gravity_direction(self, frame: int) -> np.ndarray:
         """(P, 3) direction of gravity in the axes of ``frame`` (0 base .. n flange)."""
-        return np.einsum("pji,j->pi", self.nominal_frames[:, frame, :3, :3], self.obs.cell.robot.gravity)
+        robot, R = self.obs.cell.robot, self.nominal_frames[:, frame, :3, :3]
+        if robot.chain.floor:
+            return np.einsum("pji,pj->pi", R, gravity.downward(robot.chain, self.nominal_frames, robot.gravity)[:, 0])
+        return np.einsum("pji,j->pi", R, robot.gravity)
 
     @cached_property
     def flange_gravity(self) -> np.ndarray:
@@ -338,6 +345,7 @@ class Covariates:
         """(P, n) of what is recorded or computed of the joints; None where it is not recorded, and for another name."""
         known: dict[str, Callable[[], np.ndarray | None]] = {
             "q": lambda: self.obs.q,
+            "s": lambda: self.obs.q,
             "qd": lambda: self.obs.velocity,
             "tau": lambda: self.obs.torque,
             "direction": lambda: self.obs.direction,

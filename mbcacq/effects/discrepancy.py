@@ -37,6 +37,10 @@ class DiscrepancyOptions:
     taken_up_rad: float = 0.5 * DEGREE  # a movement after which lost motion is as after any longer one
     softening: float = 0.3  # share of a wind-up that is not proportional to the torque
     least_travel_rad: float = 0.02  # joints that move by less show nothing of their own
+    mm_per_rad: float = 300.0  # a prismatic joint errs by so many mm where a revolute one of a usual arm errs by one rad
+    guide_functions: int = 6  # half waves over the travel of a guide, whose rails are a few metres long
+    guide_rad: float = 3e-4  # of its rails' yaw, pitch and roll: as far as 0.3 mm over the length of a carriage
+    bearing_orders: int = 2  # periods a turn by which the axis of a turntable wanders: eccentric, and oval
     least_torque: float = 0.02  # of the largest torque's range, below which the torque about a joint says nothing
     wander_rad: float = 1e-4  # ten times a joint's repeatability
     wander_functions: int = 60  # cosines over the order of the poses, and no more than half of these: one a pair of poses
@@ -64,7 +68,12 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
     loaded = _loaded(here.gravity_torque)
     torque = _recorded(here, "tau")
     for j in _moving(here):
-        found += _by_own_angle(here, j, range(1, OPTIONS.orders + 1))
+        if j in here.obs.cell.robot.chain.sliding:
+            found += _guide(here, j)
+        else:
+            found += _by_own_angle(here, j, range(1, OPTIONS.orders + 1))
+        if j < here.obs.cell.robot.chain.floor:
+            found += _bearing(here, j)
         if j in loaded:
             found += _by_torque(here, j, f"gravity_torque_{j + 1}")
         if torque is not None and j in _loaded(torque):
@@ -75,7 +84,7 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
 
 def gear_stages(here: Covariates) -> list[EffectTerm]:
     """Groups of each joint by its own angle, of more periods a turn: the wheels of its gear."""
-    return [t for j in _moving(here) for t in _by_own_angle(here, j, range(OPTIONS.orders + 1, OPTIONS.fastest + 1))]
+    return [t for j in _turning(here) for t in _by_own_angle(here, j, range(OPTIONS.orders + 1, OPTIONS.fastest + 1))]
 
 
 def mesh(here: Covariates, j: int, order: float) -> EffectTerm:
@@ -90,7 +99,7 @@ def mesh(here: Covariates, j: int, order: float) -> EffectTerm:
 
 def couplings(here: Covariates) -> list[EffectTerm]:
     """Groups of each joint by the angles of the others, linear: wrists whose axes drive each other, scales, bent links."""
-    moving = _moving(here)
+    moving = _turning(here)
     out = []
     for j in moving:
         others = [i for i in moving if i != j]
@@ -102,7 +111,7 @@ def couplings(here: Covariates) -> list[EffectTerm]:
 
 def pairs(here: Covariates) -> list[EffectTerm]:
     """Groups of each joint by products of sines and cosines of two angles, one group for each two."""
-    moving = _moving(here)
+    moving = _turning(here)
     out = []
     for a, b in combinations(moving, 2):
         columns = tuple(times(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
@@ -143,7 +152,39 @@ def wander(here: Covariates) -> list[EffectTerm]:
 
 
 def _moving(here: Covariates) -> list[int]:
-    return [int(j) for j in np.flatnonzero(np.ptp(here.obs.q, axis=0) > OPTIONS.least_travel_rad)]
+    unit = here.obs.cell.robot.chain.by_kind(1.0, OPTIONS.mm_per_rad)
+    return [int(j) for j in np.flatnonzero(np.ptp(here.obs.q, axis=0) > OPTIONS.least_travel_rad * unit)]
+
+
+def _turning(here: Covariates) -> list[int]:
+    return [j for j in _moving(here) if j not in here.obs.cell.robot.chain.sliding]
+
+
+def _guide(here: Covariates, j: int) -> list[EffectTerm]:
+    """What a prismatic joint carries, displaced and turned by smooth functions of its position: straightness, scale, yaw, pitch, roll."""
+    name = here.position(j)
+    low, high = float(here.value(name).min()), float(here.value(name).max())
+    k = np.arange(1, OPTIONS.guide_functions + 1)
+    columns = [of(name, "cosine", low, high, float(each)) for each in k]
+    return _behind(here, j, columns, 1.0 / k, OPTIONS.guide_rad)
+
+
+def _bearing(here: Covariates, j: int) -> list[EffectTerm]:
+    """What the axis of a turntable carries, displaced and turned with its angle: a bearing that is eccentric, and a table that wobbles."""
+    name, k = here.position(j), np.repeat(np.arange(1, OPTIONS.bearing_orders + 1), 2)
+    columns = [f(name, int(each)) for each, f in zip(k, (sine, cosine) * OPTIONS.bearing_orders, strict=True)]
+    return _behind(here, j, columns, 1.0 / k, OPTIONS.guide_rad)
+
+
+def _behind(here: Covariates, j: int, columns: Sequence[Column], share: np.ndarray, size_rad: float) -> list[EffectTerm]:
+    """Two groups of the link behind a joint, of displacements and of rotations, each of sizes in proportion to ``share``."""
+    out, zero, f = list[EffectTerm](), ((),) * (3 * len(columns)), len(columns)
+    for first, size, unit in ((0, OPTIONS.start_mm, "mm"), (3, size_rad, "rad")):
+        parts = [DescribedPart("frame", j + 1, first + c, (*zero[: c * f], *columns, *zero[(c + 1) * f :])) for c in range(3)]
+        name, variant = here.position(j), f"{SMOOTH} {unit}"
+        sigma = size * np.tile(share, 3)
+        out.append(EffectTerm.of_group(here, (f"link{j + 1}",), name, parts, sigma, (unit,) * len(sigma), variant=variant, clamped=(name,)))
+    return out
 
 
 def _loaded(torque: np.ndarray) -> set[int]:
@@ -183,10 +224,11 @@ def _by_torque(here: Covariates, j: int, name: str) -> list[EffectTerm]:
 
 def _by_arrival(here: Covariates, j: int) -> list[EffectTerm]:
     """Lost motion by the recorded direction of arrival; where none is recorded, by the way from the pose measured before."""
-    for kind, function in (("direction_", ("sign", ())), ("movement_", ("clip", (OPTIONS.taken_up_rad,)))):
+    taken_up = float(OPTIONS.taken_up_rad * here.obs.cell.robot.chain.by_kind(1.0, OPTIONS.mm_per_rad)[j])
+    for kind, function in (("direction_", ("sign", ())), ("movement_", ("clip", (taken_up,)))):
         values, name = _recorded(here, kind), f"{kind}{j + 1}"
         if values is not None and np.ptp(np.sign(values[:, j])) > 0:
-            factor = 1.0 if kind == "direction_" else 1 / OPTIONS.taken_up_rad
+            factor = 1.0 if kind == "direction_" else 1 / taken_up
             column = (Product(factor, (Function(name, *function),)),)
             return [_term(here, j, name, (column,), np.array([OPTIONS.direction_start_rad]))]
     return []
@@ -214,5 +256,7 @@ def _frame(here: Covariates, location: str, frame: int, depends_on: str, moved: 
 def _term(
     here: Covariates, j: int, depends_on: str, columns: Sequence[Column], sigma: np.ndarray, variant: str = SMOOTH, **fields: Any
 ) -> EffectTerm:
-    parts = (DescribedPart("joint", j, 0, tuple(columns)),)
-    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, ("rad",) * len(columns), variant=variant, **fields)
+    """One joint by functions; sigma in rad."""
+    parts, slides = (DescribedPart("joint", j, 0, tuple(columns)),), j in here.obs.cell.robot.chain.sliding
+    sigma, units = sigma * (OPTIONS.mm_per_rad if slides else 1.0), ("mm" if slides else "rad",) * len(columns)
+    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, units, variant=variant, **fields)

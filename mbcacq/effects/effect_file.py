@@ -18,22 +18,25 @@ from mbcacq.effects.functions import COMPONENTS, FUNCTIONS, DescribedPart, Funct
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import Measurement, RobotModel
-from mbcacq.model.json_text import Limits, Number, damaged, from_document
+from mbcacq.model.json_text import EveryKey, Limits, Number, RowsOfTransform, as_rows, damaged, from_document
 
 FORMAT = "mbcacq-effect-model/1"
 CURE = "make the model of effects anew with mbcacq diagnose"
 
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(
-    r"^(?:q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
+    r"^(?:q|s|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
 )
 _OF_FRAME = re.compile(r"^gravity_(?:moment|direction|along)_([0-9]+)_(?:[xyz]|[0-9]+_[0-9]+)$")
 Three = tuple[Number, Number, Number]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmInFile:
-    """The arm as it is nominally: MD-H rows by parameter (theta, alpha, beta rad; d, a mm), masses and what else covariates need."""
+class ArmInFile(EveryKey):
+    """The arm as it is nominally: MD-H rows by parameter (theta, alpha, beta rad; d, a mm), masses and what else covariates need. sliding,
+    floor, root: as of ``Chain``; axes: their names."""
+
+    left_out = ("sliding", "floor", "root", "follows", "axes")
 
     name: str
     sign: Annotated[tuple[Literal[-1, 1], ...], Field(min_length=1)]
@@ -44,6 +47,11 @@ class ArmInFile:
     payload_mass_kg: Number
     payload_com_mm: Three
     gravity: Three
+    sliding: tuple[int, ...] = ()
+    floor: int = 0
+    root: RowsOfTransform | None = None
+    follows: tuple[tuple[int, int, float], ...] = ()
+    axes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, robot: RobotModel) -> ArmInFile:
@@ -58,20 +66,28 @@ class ArmInFile:
             payload_mass_kg=float(robot.payload_mass),
             payload_com_mm=np.asarray(robot.payload_com).tolist(),
             gravity=np.asarray(robot.gravity).tolist(),
+            sliding=robot.chain.sliding,
+            floor=robot.chain.floor,
+            root=as_rows(robot.chain.root),
+            follows=robot.chain.follows,
+            axes=robot.names,
         )
 
     @property
     def robot(self) -> RobotModel:
         """The arm of a file."""
+        rows = (np.array(self.nominal[p]) for p in PARAMETERS)
+        root = None if self.root is None else np.array(self.root)
         return RobotModel(
             self.name,
-            Chain(np.array(self.sign, dtype=float), *(np.array(self.nominal[p]) for p in PARAMETERS)),
+            Chain(np.array(self.sign, dtype=float), *rows, sliding=self.sliding, floor=self.floor, root=root, follows=self.follows),
             self.limits,
             np.array(self.mass_kg),
             np.array(self.com_mm),
             payload_mass=self.payload_mass_kg,
             payload_com=np.array(self.payload_com_mm),
             gravity=np.array(self.gravity),
+            names=self.axes,
         )
 
 

@@ -83,7 +83,8 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "cosine": lambda x, low, high, k: np.cos(np.pi * k * (x - low) / (high - low)),
     "is": lambda x, value: (x == value).astype(float),
 }
-REPEATING = ("sin", "cos", "lever", "stretch")  # functions of an angle to which a full turn is the same place
+OF_MECHANISMS = ("lever", "stretch")  # functions of an angle by the geometry of a mechanism, which is what it is at every angle
+REPEATING = ("sin", "cos", *OF_MECHANISMS)  # functions of an angle to which a full turn is the same place
 
 
 def _written(value: Any) -> Any:

@@ -141,7 +141,7 @@ class Lineariser:
         station = np.swapaxes(-se3.adjoint(prediction.T_base_station[poses]), 1, 2)
         arm = twists.reshape(len(poses), -1, 6)[:, chain_free]
         moving = np.concatenate([arm, self._of_recordings(mount, poses)[:, mount_free]], axis=1)
-        return moving, station, twists[:, :, 0] * chain.sign[:, None]
+        return moving, station, chain.of_joints(twists)
 
     def _beside(
         self, first: np.ndarray, prediction: forward_model.Prediction, turn: np.ndarray, as_twists: bool

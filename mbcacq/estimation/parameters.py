@@ -17,7 +17,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.estimation.terms import Term
 from mbcacq.geometry import se3
-from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
 from mbcacq.model.observations import Observations
 
@@ -151,8 +151,9 @@ class ParameterLayout:
 def build(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
     """The layout for a recording: which parameters are free, with gauge and redundancy removed by what is known of every arm.
 
-    theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are
-    parallel, d_i acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters.
+    theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are parallel, d_i
+    acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters. A prismatic joint has a direction and no
+    place, so that two more parameters act like others.
     """
     cell = obs.cell
     blocks = [_chain(cell, options), _hand_eye(obs), _balls(obs, options)]
@@ -170,16 +171,8 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     if not options.kinematics and not uncertain:
         why = dict.fromkeys(names, "kinematics not asked for")
     else:
-        if not any(s.T_base_station is not None for s in cell.stations):
-            why |= dict.fromkeys(("theta_1", "d_1"), "moves the base together with the stations")
-        parallel = chain.parallel_next()
-        for i in range(n - 1):
-            if parallel[i]:
-                why.setdefault(f"d_{i + 1}", f"acts like d_{i + 2}: axes {i + 1} and {i + 2} are parallel")
-            else:
-                why[f"beta_{i + 1}"] = "acts like its neighbours, except between parallel axes"
-        for p in PARAMETERS:
-            why[f"{p}_{n}"] = "acts like the hand-eye transform"
+        redundant = chain.redundant(base_known=any(s.T_base_station is not None for s in cell.stations))
+        why = {f"{PARAMETERS[k]}_{i + 1}": _acts_like(chain, i, PARAMETERS[k]) for i, k in np.argwhere(redundant).tolist()}
         for name in options.release:
             why.pop(name, None)
     free = np.array([name not in why for name in names])
@@ -202,6 +195,19 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
         why=why,
         centre=prior.mean.reshape(-1),
     )
+
+
+def _acts_like(chain: Chain, i: int, parameter: str) -> str:
+    """Why a parameter of row i is redundant."""
+    if i == chain.n - 1:
+        return "acts like the hand-eye transform"
+    if i == 0 and parameter in ("theta", "d"):
+        return "moves the base together with the stations"
+    if parameter == "d" and chain.parallel_next()[i]:
+        return f"acts like d_{i + 2}: axes {i + 1} and {i + 2} are parallel"
+    if parameter == "beta":
+        return "acts like its neighbours, except between parallel axes"
+    return "acts like others: of a prismatic joint the direction alone matters"
 
 
 def usual_sizes(cell: Cell) -> dict[str, float]:

@@ -234,7 +234,8 @@ def first_noise(cell: Cell) -> Noise:
     what the joints were rounded by."""
     point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
     joint = cell.robot.chain.expected_noise(cell.robot.repeatability_mm or 0.06)
-    return Noise(point, np.hypot(joint, rounding_noise(cell.joint_step)) if cell.joint_step else joint, cell.noise_rad or 1e-4)
+    rounded = cell.robot.chain.by_kind(rounding_noise(cell.joint_step), 0.0)
+    return Noise(point, np.hypot(joint, rounded) if cell.joint_step else joint, cell.noise_rad or 1e-4)
 
 
 def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:

@@ -154,11 +154,18 @@ class ExportFormat(ABC):
 
 def chains(result: Mapping[str, Any]) -> tuple[Chain, Chain]:
     """Nominal and calibrated arm of a result."""
-    sign = np.array(result["robot"]["sign"], dtype=float)
-    nominal, calibrated = (
-        Chain(sign, *(np.array(result["robot"][which][p], dtype=float) for p in PARAMETERS)) for which in ("nominal", "calibrated")
+    robot = result["robot"]
+    kinds = {
+        "sliding": tuple(robot.get("sliding", ())),
+        "floor": robot.get("floor", 0),
+        "root": robot.get("root") and np.array(robot["root"]),
+    }
+    kinds["follows"] = tuple(map(tuple, robot.get("follows", ())))
+    sign, rows = (
+        np.array(robot["sign"], dtype=float),
+        {w: [np.array(robot[w][p], float) for p in PARAMETERS] for w in ("nominal", "calibrated")},
     )
-    return nominal, calibrated
+    return Chain(sign, *rows["nominal"], **kinds), Chain(sign, *rows["calibrated"], **kinds)
 
 
 def formats(only: Sequence[str] = ()) -> list[ExportFormat]:

@@ -15,18 +15,20 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: a joint that coun
 def joint_frames(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Each joint's frame in the one before it, the first in the base: (n, 4, 4); and the flange in the last joint's frame (4, 4).
 
-    Joint i turns about its z by the controller's angle. A row is H_i = Rz(q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). The part before a
-    joint is the last three factors of the row before and the first two of its own, which do not move with its angle in any other order.
+    Joint i turns about its z by the controller's angle, or slides along it. A row is
+    H_i = Rz(q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta). The
+    part before a joint is the last three factors of the row before and the first two of its own, which do not move with its angle in any
+    other order.
     """
-    zero = Chain(chain.sign, chain.theta, chain.d, 0 * chain.a, 0 * chain.alpha, 0 * chain.beta).link_transforms(np.zeros((1, chain.n)))[0]
+    zero = chain.with_rows(chain.rows * [1, 1, 0, 0, 0]).link_transforms(np.zeros((1, chain.n)))[0]
     behind = behind_joints(chain)
-    before = np.concatenate([np.eye(4)[None], behind[:-1]])
+    before = np.concatenate([(np.eye(4) if chain.root is None else chain.root)[None], behind[:-1]])
     return before @ zero @ _flips(chain), behind[-1]
 
 
 def behind_joints(chain: Chain) -> np.ndarray:
     """(n, 4, 4): the frame behind each row, of the link, in the frame of its joint."""
-    rest = Chain(chain.sign, 0 * chain.theta, 0 * chain.d, chain.a, chain.alpha, chain.beta).link_transforms(np.zeros((1, chain.n)))[0]
+    rest = chain.with_rows(chain.rows * [0, 0, 1, 1, 1]).link_transforms(np.zeros((1, chain.n)))[0]
     return _flips(chain) @ rest
 
 

@@ -1,8 +1,9 @@
-"""The MD-H rows of an arm that is known by its joint axes as lines in space and by its flange, all at joint angles of zero."""
+"""The MD-H rows of an arm that is known by its joint axes as lines in space and by its flange, all at joint positions of zero."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,23 +34,59 @@ class ChainInFrames:
         return self.T_given_base @ self.chain.flange(q) @ self.T_flange_given
 
 
-def chain_from_axes(direction: np.ndarray, point: np.ndarray, T_base_flange: np.ndarray) -> ChainInFrames:
-    """The rows that repeat an arm's forward kinematics; all signs are +1, so its joint angles stay what they are.
+def chain_from_axes(direction: np.ndarray, point: np.ndarray, T_base_flange: np.ndarray, sliding: Sequence[int] = ()) -> ChainInFrames:
+    """The rows that repeat an arm's forward kinematics; all signs are +1, so its joint positions stay what they are.
 
-    direction, point: (n, 3), unit vectors about which positive angles turn and a point (mm) of each axis, base frame, at q = 0;
-    T_base_flange: (4, 4) there.
+    direction, point: (n, 3), unit vectors about which positive angles turn, or along which prismatic joints slide, and a point (mm) of each
+    axis, base frame, at q = 0; T_base_flange: (4, 4) there. sliding: indices of the prismatic joints, of which any point will do. The base
+    of an arm that begins with one is the given base.
     """
-    T_given_base = _base(direction[0], point[0])
+    T_given_base = _base(direction[0], np.zeros(3) if 0 in sliding else point[0])
     back = se3.inverse(T_given_base)
-    direction, point = direction @ T_given_base[:3, :3], se3.apply(back, point)
-    frame, rows = np.eye(4), []
-    for z, p in zip(direction[1:], point[1:], strict=True):
-        rows.append(_row(se3.inverse(frame)[:3, :3] @ z, se3.apply(se3.inverse(frame), p)))
-        frame = frame @ _transform(rows[-1])
+    rows, frame = _rows_to(direction @ T_given_base[:3, :3], se3.apply(back, point), sliding)
     last = se3.inverse(frame) @ back @ T_base_flange
     rows.append(_last_row(last))
     T_flange_given = se3.inverse(_transform(rows[-1])) @ last
-    return ChainInFrames(Chain(np.ones(len(rows)), *np.array(rows).T), _tidy(T_given_base), _tidy(T_flange_given))
+    chain = Chain(np.ones(len(rows)), *np.array(rows).T, sliding=tuple(sliding))
+    if 0 in sliding:
+        chain, T_given_base = replace(chain, root=T_given_base), np.eye(4)
+    return ChainInFrames(chain, _tidy(T_given_base), _tidy(T_flange_given))
+
+
+def carried(arm: Chain, direction: np.ndarray, point: np.ndarray, sliding: Sequence[int], floor: int) -> Chain:
+    """The chain of an arm and of external axes before it: those that carry the artefact, from its table to the floor, then those that carry
+    the arm, from the floor on.
+
+    direction, point: (k, 3) lines of the external axes in the arm's base while all of them are at zero, in which direction what is behind
+    them moves as seen from what is before; sliding: indices of the prismatic ones; floor: how many carry the artefact. The base of the
+    chain is the arm's at zero of these axes: it stays with the table, or on the floor without one.
+    """
+    own = np.eye(4) if arm.root is None else arm.root
+    root = _base(direction[0], np.zeros(3) if 0 in sliding else point[0])
+    lines = np.vstack([direction, own[:3, 2]]) @ root[:3, :3], se3.apply(se3.inverse(root), np.vstack([point, own[:3, 3]]))
+    rows, frame = _rows_to(*lines, sliding)
+    left = se3.inverse(root @ frame) @ own  # about and along the arm's first axis
+    of_arm = arm.rows.copy()
+    of_arm[0, :2] += np.arctan2(left[1, 0], left[0, 0]), left[2, 3]
+    k = len(rows)
+    return replace(
+        arm.with_rows(np.vstack([rows, of_arm])),
+        sign=np.concatenate([np.ones(k), arm.sign]),
+        sliding=(*sliding, *(k + i for i in arm.sliding)),
+        floor=floor,
+        root=root,
+        follows=tuple((k + joint, k + leader, ratio) for joint, leader, ratio in arm.follows),
+    )
+
+
+def _rows_to(direction: np.ndarray, point: np.ndarray, sliding: Sequence[int]) -> tuple[list[tuple[float, ...]], np.ndarray]:
+    """The rows that lead from the first line to the last (n, 3), the frame of the first being the unit frame, and the frame of the last."""
+    frame, rows = np.eye(4), list[tuple[float, ...]]()
+    for i, (z, p) in enumerate(zip(direction[1:], point[1:], strict=True), start=1):
+        p = frame[:3, 3] if i in sliding else p  # the shortest row
+        rows.append(_row(se3.inverse(frame)[:3, :3] @ z, se3.apply(se3.inverse(frame), p)))
+        frame = frame @ _transform(rows[-1])
+    return rows, frame
 
 
 def _base(z: np.ndarray, point: np.ndarray) -> np.ndarray:

@@ -18,33 +18,38 @@ INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
 def regressor(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """Drive torque per inertial parameter: (T, n, n, 10) N m per unit of link l's parameter k, recursive Newton-Euler.
+    """Drive torque per inertial parameter: (T, n, n, 10) N m, N of a prismatic joint, per unit of link l's parameter k, recursive
+    Newton-Euler.
 
-    q, qd, qdd: (T, n) rad, rad/s, rad/s^2, counted in the controller's direction of rotation; gravity: (3,) unit vector in the base
-    frame. The torque counts in the same direction and is what the drives must exert.
+    q, qd, qdd: (T, n) rad, rad/s, rad/s^2 (mm, mm/s, mm/s^2), counted in the controller's direction; gravity: (3,) unit vector in the frame
+    of the floor. The torque counts in the same direction and is what the drives must exert; zero at joints that carry the artefact.
     """
     H = chain.link_transforms(q)
     R, t = H[..., :3, :3], H[..., :3, 3] * 1e-3
     T, n = q.shape
+    qd, qdd = (x @ chain.coupling.T if chain.follows else x for x in (qd, qdd))
     out = np.zeros((T, n, n, 10))
     omega, alpha = np.zeros((T, 3)), np.zeros((T, 3))
     acceleration = np.broadcast_to(-STANDARD_GRAVITY * np.asarray(gravity, dtype=float), (T, 3))
     axis = np.array([0.0, 0.0, 1.0])
-    for link in range(n):
+    for link in range(chain.floor, n):
         # The axis is z of the frame before the link; everything is then turned into the link's own frame.
         rate, jolt = (chain.sign[link] * qd[:, link])[:, None] * axis, (chain.sign[link] * qdd[:, link])[:, None] * axis
-        alpha = alpha + jolt + se3.cross(omega, rate)
-        omega = omega + rate
+        if link in chain.sliding:
+            acceleration = acceleration + 1e-3 * (jolt + 2 * se3.cross(omega, rate))
+        else:
+            alpha = alpha + jolt + se3.cross(omega, rate)
+            omega = omega + rate
         lever = t[:, link]
         acceleration = acceleration + se3.cross(alpha, lever) + se3.cross(omega, se3.cross(omega, lever))
         back = np.swapaxes(R[:, link], -1, -2)
         omega, alpha, acceleration = (np.einsum("tij,tj->ti", back, v) for v in (omega, alpha, acceleration))
         force, moment = _wrench(omega, alpha, acceleration)
-        for joint in range(link, -1, -1):
+        for joint in range(link, chain.floor - 1, -1):
             force = R[:, joint] @ force
             moment = R[:, joint] @ moment + se3.skew(t[:, joint]) @ force
-            out[:, joint, link] = chain.sign[joint] * moment[:, 2]
-    return out
+            out[:, joint, link] = chain.sign[joint] * (force if joint in chain.sliding else moment)[:, 2]
+    return chain.of_leaders(out.reshape(T, n, -1)).reshape(out.shape)
 
 
 def _wrench(omega: np.ndarray, alpha: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

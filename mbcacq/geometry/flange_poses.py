@@ -39,6 +39,9 @@ class FlangePoses(Chain):
     def parallel_next(self, tolerance: float = 1e-6) -> np.ndarray:
         return np.zeros(SIZE, dtype=bool)
 
+    def redundant(self, base_known: bool = False, tolerance: float = 1e-6) -> np.ndarray:
+        return np.ones((SIZE, 5), dtype=bool)
+
     def frames(self, q: np.ndarray, displacement: np.ndarray | None = None) -> np.ndarray:
         """(P, 7, 4, 4): [:, 6] is the flange, the others stay at the base."""
         out = np.empty((len(q), SIZE + 1, 4, 4))

@@ -30,7 +30,7 @@ class SolverOptions:
     iterations: int = 60  # of one start; most need ten
     damping: float = 0.3  # of a step, per unit of the squared error
     least_damping: float = 1e-12  # keeps the normal equations regular at a solution that is singular
-    longest_step: float = 0.7  # rad a joint and iteration: beyond, the linearisation says little
+    longest_step: float = 0.7  # rad a joint and iteration, or share of the reach: beyond, the linearisation says little
     solved: float = 2e-10  # remaining error, as a share of the reach, and in rad
     stalled: float = 0.98  # of the error ten iterations before: a start that improves less is given up
     same_branch: float = 0.02  # rad: positions of a six-axis arm that differ by less are one
@@ -45,7 +45,8 @@ SAMPLED = SolverOptions(rounds=3, quiet_rounds=1)
 
 @dataclass(frozen=True)
 class NumericalInverse:
-    """Solver of one chain. limits: (n, 2) rad. preferred: (n,) rad, a posture from which every target is tried first, or None."""
+    """Solver of one chain. limits: (n, 2) rad, mm of a prismatic joint. preferred: (n,), a posture from which every target is tried first,
+    or None."""
 
     chain: Chain
     limits: np.ndarray
@@ -85,7 +86,7 @@ class NumericalInverse:
     def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
         """Like ``branches``, with the full turns that the limits less ``margin`` (rad) allow, and nothing outside of those."""
         low, high = self.limits[:, 0] + margin, self.limits[:, 1] - margin
-        return [with_full_turns(q, low, high) for q in self.branches(T_base_flange)]
+        return [with_full_turns(q, low, high, self.chain.prismatic) for q in self.branches(T_base_flange)]
 
     def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
         """The joint position (n,) rad at a target (4, 4) to which the one start ``q`` (n,) leads, or None."""
@@ -102,8 +103,15 @@ class NumericalInverse:
         return np.array([0.0, 0.0, self.chain.d[0]])
 
     @cached_property
+    def _unit(self) -> np.ndarray:
+        """(n,) by which steps of the joints are made comparable: 1 rad, and the reach of a prismatic joint."""
+        return self.chain.by_kind(1.0, self._reach)
+
+    @cached_property
     def _longest(self) -> float:
         """mm from the first axis' end to the flange, all links stretched."""
+        if self.chain.sliding:
+            return np.inf
         return float(abs(self.chain.a[0]) + np.hypot(self.chain.a, self.chain.d)[1:].sum()) * (1 + 1e-9)
 
     @cached_property
@@ -124,7 +132,7 @@ class NumericalInverse:
     @cached_property
     def _turns(self) -> np.ndarray:
         """(n,) bool: the axis may turn all the way round, so that no limit holds it."""
-        return self.limits[:, 1] - self.limits[:, 0] >= FULL_TURN
+        return (self.limits[:, 1] - self.limits[:, 0] >= FULL_TURN) & ~self.chain.prismatic
 
     def _place(self, T: np.ndarray) -> np.ndarray:
         return np.concatenate([T[:, :3, 3] / self._reach, 0.25 * T[:, :3, :3].reshape(-1, 9)], axis=1)
@@ -142,10 +150,14 @@ class NumericalInverse:
         return np.concatenate([(targets[:, :3, 3] - flange[:, :3, 3]) / self._reach, se3.rotation_log(turn)], axis=1)
 
     def _jacobian(self, frames: np.ndarray) -> np.ndarray:
-        """(P, 6, n) of the flange's origin (share of the reach) and orientation (rad) by the controller's joint angles."""
+        """(P, 6, n) of the flange's origin (share of the reach) and orientation (rad) by the controller's positions, in ``_unit``."""
         axis = self.chain.sign[:, None] * frames[:, :-1, :3, 2]
         lever = frames[:, -1:, :3, 3] - frames[:, :-1, :3, 3]
-        return np.concatenate([se3.cross(axis, lever) / self._reach, axis], axis=2).swapaxes(1, 2)
+        out = np.concatenate([se3.cross(axis, lever) / self._reach, axis], axis=2)
+        if self.chain.sliding:
+            slides = list(self.chain.sliding)
+            out[:, slides, :3], out[:, slides, 3:] = axis[:, slides], 0.0
+        return self.chain.of_leaders(out).swapaxes(1, 2)
 
     def _solve(self, targets: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where each start (S, n) ends for its target (S, 4, 4), and which of them solved it."""
@@ -178,7 +190,7 @@ class NumericalInverse:
             rows = held.any(axis=1)
             step[rows] = np.where(held[rows], 0.0, self._damped(np.where(held[rows, None], 0.0, J[rows]), error[rows]))
         longest = np.abs(step).max(axis=1, keepdims=True)
-        moved = q + step * np.minimum(1.0, self.options.longest_step / np.maximum(longest, 1e-12))
+        moved = q + self._unit * (step * np.minimum(1.0, self.options.longest_step / np.maximum(longest, 1e-12)))
         return np.where(self._turns, moved, np.clip(moved, low, high))
 
     def _damped(self, J: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -192,17 +204,24 @@ class NumericalInverse:
         nearest = self.options.same_posture if self.chain.n > 6 else self.options.same_branch
         for q in more:
             away = q - known
-            away = np.where(self._turns, np.mod(away + np.pi, FULL_TURN) - np.pi, away)
+            away = np.where(self._turns, np.mod(away + np.pi, FULL_TURN) - np.pi, away) / self._unit
             if len(known) < self.options.most_branches and (np.abs(away).max(axis=1) > nearest).all():
                 known = np.vstack([known, q])
         return known
 
 
-def with_full_turns(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Joint positions (k, n) rad with every full turn of every joint that stays between ``low`` and ``high`` (n,); others are dropped."""
+def with_full_turns(q: np.ndarray, low: np.ndarray, high: np.ndarray, prismatic: np.ndarray | None = None) -> np.ndarray:
+    """Joint positions (k, n) rad with every full turn of every joint that stays between ``low`` and ``high`` (n,); others are dropped.
+
+    prismatic: (n,) bool, joints that do not turn.
+    """
     if not len(q):
         return np.empty((0, q.shape[1]))
     first, last = np.ceil((low - q) / FULL_TURN - 1e-12), np.floor((high - q) / FULL_TURN + 1e-12)
+    if prismatic is not None:
+        first, last = (
+            np.where(prismatic, np.where((low <= q) & (q <= high), 0.0, end), bound) for end, bound in ((1.0, first), (0.0, last))
+        )
     q, first, last = (x[(last >= first).all(axis=1)] for x in (q, first, last))
     most = (last - first).max(axis=0, initial=0.0).astype(int)
     turns = _turns_up_to(tuple(most.tolist()))

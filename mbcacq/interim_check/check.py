@@ -35,7 +35,8 @@ from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides, name_of
-from mbcacq.workflow.load import as_observations, as_plan, as_result, is_run_folder
+from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
+from mbcacq.workflow.part_scenes import scenes_as_observations
 from mbcacq.workflow.run import Operator
 
 HISTORY = "check.json"
@@ -209,7 +210,7 @@ def check(
         past = read_history(file)
         operator.progress("checking that every pose can be reached and seen")
         poses = expand(loaded)
-        on_part = settings.part or not any(p.balls for p in poses)
+        on_part = settings.part or not any(p.balls for p in poses) or (past is not None and past.noise is not None)
         if past is None:
             operator.progress("choosing the poses that notice most")
             past = _new_history(loaded, poses, cell, content, settings)
@@ -223,10 +224,10 @@ def check(
         else:
             run = Path(measured)
         operator.progress("judging")
-        measured_now = as_observations(run)
+        measured_now = load_observations(run)
         simulated = measured_now.cell.simulated
         if on_part:
-            measured_now, noise = seen_as_points(planned, measured_now)
+            measured_now, noise = seen_as_points(planned, scenes_as_observations(run, measured_now))
             noise = noise if past.noise is None else past.noise
             past = replace(with_observations(planned, past, measured_now, run), noise=noise)
             planned = with_noise(planned, noise)

@@ -42,8 +42,14 @@ def with_points(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> tuple[Loade
 
 
 def seen_as_points(check: PlannedCheck, obs: Observations) -> tuple[Observations, np.ndarray]:
-    """Scenes that were measured as the points of a check, and the covariance (9 P, 9 P) mm^2 of these in the order of the poses."""
-    cell, T = check.obs.cell, se3.transform(obs.rotation, obs.xyz) if obs.rotation is not None else np.zeros((0, 4, 4))
+    """Scenes that were measured as the points of a check, and the covariance (9 P, 9 P) mm^2 of these in the order of the poses.
+
+    Raises ConfigError where none of the check's poses is among them.
+    """
+    obs = obs.select(np.isin(obs.pose_id, check.obs.pose_id)).measured()
+    if obs.rotation is None or not obs.n_poses:
+        raise ConfigError("none of the poses of the check was scanned in that recording; give one of this check")
+    cell, T = check.obs.cell, se3.transform(obs.rotation, obs.xyz)
     station = next(k for k, s in enumerate(cell.stations) if s.id == obs.cell.stations[0].id)
     T_base_scene = check.cell.frames(obs.q[:1])[0, -1] @ check.state.T_flange_scanner @ T[0]
     balls = np.flatnonzero(np.isin(cell.ball_ids, POINTS))

@@ -38,6 +38,9 @@ BOUNDS = {
     "speed": Bound("deg/s", -1e4, 1e4, "28 turns a second; wrists reach 1000 deg/s"),
     "acceleration": Bound("deg/s2", -1e7, 1e7, "a wrist's largest speed in 1 ms"),
     "jerk": Bound("deg/s3", -1e10, 1e10, "that acceleration in 1 ms"),
+    "linear_speed": Bound("mm/s", -1e5, 1e5, "100 m/s: gantries and tracks reach 5 m/s"),
+    "linear_acceleration": Bound("mm/s2", -1e7, 1e7, "a thousand g"),
+    "linear_jerk": Bound("mm/s3", -1e10, 1e10, "that acceleration in 1 ms"),
     "gear_ratio": Bound("1", -1e5, 1e5, "robots have 30 to 300"),
     "coupling": Bound("1", -100, 100, "an axis that drags another moves it about as far as itself"),
     "pulses": Bound("1/deg", -1e9, 1e9, "an encoder of 32 bit behind a gear of 100"),
@@ -71,6 +74,9 @@ AngleNoise = Annotated[float, _within("angle_noise")]
 Speed = Annotated[float, _within("speed")]
 Acceleration = Annotated[float, _within("acceleration")]
 Jerk = Annotated[float, _within("jerk")]
+LinearSpeed = Annotated[float, _within("linear_speed")]
+LinearAcceleration = Annotated[float, _within("linear_acceleration")]
+LinearJerk = Annotated[float, _within("linear_jerk")]
 GearRatio = Annotated[float, _within("gear_ratio")]
 CouplingFactor = Annotated[float, _within("coupling")]
 Pulses = Annotated[float, _within("pulses")]

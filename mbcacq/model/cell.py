@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.files.mesh_file import Mesh
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
+from mbcacq.quantities import in_degrees
 
 Measurement = Literal["artefact_in_scanner", "target_in_base"]
 Drive = Literal["gear", "direct", "belt", "friction_wheel", "screw", "scaled_encoder"]
@@ -21,7 +22,7 @@ SIMULATED = "simulated: the fake cell or a model made these data, no real arm wa
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg.
+    """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg; in place of rad stands mm for a prismatic joint.
 
     Attributes
     ----------
@@ -41,6 +42,8 @@ class RobotModel:
         Whether a spring or gas balancer carries A2; None where the source does not say.
     drives : tuple[Drive | None, ...]
         (n,) what moves each joint, None where the source does not say; empty where it says so of no joint.
+    names : tuple[str, ...]
+        (n,) of the axes, as the controller counts them: A1 .. those of the arm, E1 .. external ones; empty: A1 to An.
     """
 
     name: str
@@ -58,10 +61,38 @@ class RobotModel:
     jerk: np.ndarray | None = None
     balancer: bool | None = None
     drives: tuple[Drive | None, ...] = ()
+    names: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
         return self.chain.n
+
+    @property
+    def counted(self) -> np.ndarray:
+        """(n,) bool: the axis has a position of its own, which a controller counts; one that follows another has none."""
+        return ~np.isin(np.arange(self.n), [joint for joint, _, _ in self.chain.follows])
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names of the axes."""
+        return self.names or tuple(f"A{i + 1}" for i in range(self.n))
+
+    @property
+    def external(self) -> int:
+        """How many of the first axes are external ones."""
+        return sum(name.startswith("E") for name in self.names)
+
+    def shown(self, values: np.ndarray) -> np.ndarray:
+        """Positions, speeds .. (.., n) as people read them: deg of an axis that turns, mm of one that slides."""
+        return np.where(self.chain.prismatic, values, in_degrees(values))
+
+    def in_words(self, q: np.ndarray) -> str:
+        """A position (n,): 'A1 10.0° A2 ..'."""
+        return " ".join(f"{name} {value:.1f}{self.unit(k)}" for k, (name, value) in enumerate(zip(self.axes, self.shown(q), strict=True)))
+
+    def unit(self, axis: int) -> str:
+        """The sign of its unit: '°', or ' mm'."""
+        return " mm" if axis in self.chain.sliding else "°"
 
     def drive(self, joint: int) -> Drive | None:
         """What moves a joint, by its index; None where the source does not say."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import count
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.chain_from_axes import carried
 from mbcacq.model import cell
 from mbcacq.model.bounds import (
     Acceleration,
@@ -22,6 +25,9 @@ from mbcacq.model.bounds import (
     Jerk,
     JointAngle,
     Length,
+    LinearAcceleration,
+    LinearJerk,
+    LinearSpeed,
     Mass,
     Noise,
     PayloadMass,
@@ -82,21 +88,96 @@ class PoseSpec(Strict):
         return se3.from_abc(xyz, from_degrees(self.abc_deg or (0.0, 0.0, 0.0)))
 
 
-class LinkSpec(Strict):
+class JointSpec(Strict):
+    """What a joint may do: deg of a revolute one, mm of a prismatic one."""
+
+    type: Literal["revolute", "prismatic"] = "revolute"
+    name: Annotated[str, Field(pattern=r"^[AE][1-9][0-9]?$")] | None = None
+    carries: Literal["arm", "artefact"] = "arm"
+    limits_deg: tuple[JointAngle, JointAngle] = (-360.0, 360.0)
+    limits_mm: tuple[Position, Position] | None = None
+    speed_deg_s: Speed | None = None
+    speed_mm_s: LinearSpeed | None = None
+    acceleration_deg_s2: Acceleration | None = None
+    acceleration_mm_s2: LinearAcceleration | None = None
+    jerk_deg_s3: Jerk | None = None
+    jerk_mm_s3: LinearJerk | None = None
+    drive: cell.Drive | None = None
+
+    @model_validator(mode="after")
+    def _in_its_unit(self) -> JointSpec:
+        other = "_mm" if self.type == "revolute" else "_deg"
+        if wrong := [name for name in self.model_fields_set if other in name and name.split("_")[0] in QUANTITIES]:
+            raise ValueError(f"{wrong[0]} is not for a {self.type} joint; give {joint_key(wrong[0].split('_')[0], self.type)}")
+        if self.type == "prismatic" and self.limits_mm is None:
+            raise ValueError("a prismatic joint needs limits_mm; give the lowest and the highest position")
+        return self
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is prismatic."""
+        return self.type == "prismatic"
+
+    def inside(self, value: float) -> float:
+        """A position of a file, deg or mm, in rad or mm."""
+        return value if self.slides else float(from_degrees(value))
+
+    def quantity(self, name: str) -> Any:
+        """limits, speed, acceleration or jerk in rad, or mm of a prismatic joint; None where nothing is said."""
+        said = getattr(self, joint_key(name, self.type))
+        return said if said is None or self.slides else from_degrees(said)
+
+
+def ratio_unit(joint: JointSpec, leader: JointSpec) -> float:
+    """What turns a ratio of the units of files (deg, mm) into one of those inside."""
+    unit = {False: float(from_degrees(1.0)), True: 1.0}
+    return 1.0 if joint.slides == leader.slides else unit[joint.slides] / unit[leader.slides]
+
+
+QUANTITIES = {"limits": "", "speed": "_s", "acceleration": "_s2", "jerk": "_s3"}  # of a joint, and how the key ends
+
+
+def joint_key(quantity: str, kind: str) -> str:
+    """The key under which a file states a quantity of a joint: speed_deg_s, speed_mm_s of a prismatic one."""
+    return f"{quantity}_{'mm' if kind == 'prismatic' else 'deg'}{QUANTITIES[quantity]}"
+
+
+class FollowsSpec(Strict):
+    """The joint that a joint moves with, by its number in the list of links, and the ratio of their motions, in deg and mm."""
+
+    link: Annotated[int, Field(ge=1)]
+    ratio: Annotated[float, Field(ge=-1e4, le=1e4)] = 1.0
+
+
+class LinkSpec(JointSpec):
     sign: Literal[-1, 1] = 1
     theta_deg: Angle
     d_mm: Position
     a_mm: Position
     alpha_deg: Angle
     beta_deg: Angle = 0.0
-    limits_deg: tuple[JointAngle, JointAngle] = (-360.0, 360.0)
-    speed_deg_s: Speed | None = None
-    acceleration_deg_s2: Acceleration | None = None
-    jerk_deg_s3: Jerk | None = None
     mass_kg: Mass = 0.0
     com_mm: Place = (0.0, 0.0, 0.0)
     gear_ratio: GearRatio | None = None
-    drive: cell.Drive | None = None
+    follows: FollowsSpec | None = None
+
+
+class ExternalAxisSpec(JointSpec):
+    """An axis beside the arm: under the arm (track, lift, gantry), or under the artefact (turntable, positioner).
+
+    direction, point_mm: the line about which it turns, or along which it moves what it carries, in the base of the arm while all external
+    axes are at zero. They are listed from the floor on, those of a positioner too.
+    """
+
+    name: Annotated[str, Field(pattern=r"^E[1-9]$")] | None = None
+    direction: Direction
+    point_mm: Place = (0.0, 0.0, 0.0)
+
+
+def in_order_of_chain(axes: Sequence[ExternalAxisSpec]) -> tuple[ExternalAxisSpec, ...]:
+    """Those that carry the artefact from its table to the floor, then those that carry the arm from the floor on."""
+    of_table = [axis for axis in axes if axis.carries == "artefact"]
+    return (*of_table[::-1], *(axis for axis in axes if axis.carries == "arm"))
 
 
 class PayloadSpec(Strict):
@@ -105,46 +186,81 @@ class PayloadSpec(Strict):
 
 
 class RobotSpec(Strict):
+    """links: the joints of the chain one after another; external_axes: those given by their lines. base_to_first_axis: frame of the first
+    joint, where it is not the base."""
+
     name: str
     links: tuple[LinkSpec, ...] = Field(min_length=2)
+    external_axes: tuple[ExternalAxisSpec, ...] = ()
+    base_to_first_axis: PoseSpec | None = None
     payload: PayloadSpec = PayloadSpec()
     base_to_gravity: Direction = (0.0, 0.0, -1.0)
     repeatability_mm: Repeatability | None = None
     balancer: bool | None = None
 
-    def model(self) -> cell.RobotModel:
+    @model_validator(mode="after")
+    def _in_order(self) -> RobotSpec:
+        carries = [link.carries for link in self.links]
+        if "artefact" in carries[carries.index("arm") if "arm" in carries else 0 :]:
+            raise ValueError("the joints that carry the artefact come first, from its table to the floor; reorder the links")
+        if self.external_axes and "artefact" in carries:
+            raise ValueError("links carry the artefact already; give the external axes all as links, or all as external_axes")
+        if any(link.follows and link.follows.link > len(self.links) for link in self.links):
+            raise ValueError("a link follows one that is not there; give the number of another link, counted from 1")
+        names = [joint.name for joint in (*self.external_axes, *self.links) if joint.name]
+        if len(set(names)) < len(names):
+            raise ValueError("two axes have the same name; rename one")
+        return self
+
+    def model(self, external_axes: tuple[ExternalAxisSpec, ...] = ()) -> cell.RobotModel:
+        """The arm. external_axes: further ones, that carry it or the artefact beside its own."""
         column = {
             name: np.array([getattr(link, name) for link in self.links], dtype=float)
             for name in ("sign", "theta_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg", "mass_kg")
         }
-        optional = {
-            name: _all_or_none([getattr(link, name) for link in self.links])
-            for name in ("speed_deg_s", "acceleration_deg_s2", "jerk_deg_s3", "gear_ratio")
-        }
-        gravity = np.array(self.base_to_gravity, dtype=float)
+        chain = Chain(
+            column["sign"],
+            from_degrees(column["theta_deg"]),
+            column["d_mm"],
+            column["a_mm"],
+            from_degrees(column["alpha_deg"]),
+            from_degrees(column["beta_deg"]),
+            sliding=tuple(i for i, link in enumerate(self.links) if link.slides),
+            floor=sum(link.carries == "artefact" for link in self.links),
+            root=self.base_to_first_axis.transform() if self.base_to_first_axis else None,
+            follows=tuple(
+                (i, f.link - 1, f.ratio * ratio_unit(link, self.links[f.link - 1]))
+                for i, link in enumerate(self.links)
+                if (f := link.follows)
+            ),
+        )
+        before = in_order_of_chain((*external_axes, *self.external_axes))
+        if before:
+            towards = np.array([_unit(np.array(axis.direction, dtype=float)) for axis in before])
+            of_table = sum(axis.carries == "artefact" for axis in before)
+            towards[:of_table] *= -1
+            slides = [i for i, axis in enumerate(before) if axis.slides]
+            chain = carried(chain, towards, np.array([axis.point_mm for axis in before], dtype=float), slides, of_table)
+        joints: tuple[JointSpec, ...] = (*before, *self.links)
+        speed, acceleration, jerk = (_all_or_none([j.quantity(name) for j in joints]) for name in ("speed", "acceleration", "jerk"))
+        gravity, k = np.array(self.base_to_gravity, dtype=float), len(before)
         return cell.RobotModel(
             name=self.name,
-            chain=Chain(
-                column["sign"],
-                from_degrees(column["theta_deg"]),
-                column["d_mm"],
-                column["a_mm"],
-                from_degrees(column["alpha_deg"]),
-                from_degrees(column["beta_deg"]),
-            ),
-            limits=from_degrees([link.limits_deg for link in self.links]),
-            mass=column["mass_kg"],
-            com=np.array([link.com_mm for link in self.links], dtype=float),
-            speed=_radians(optional["speed_deg_s"]),
-            acceleration=_radians(optional["acceleration_deg_s2"]),
-            jerk=_radians(optional["jerk_deg_s3"]),
-            gear_ratio=optional["gear_ratio"],
+            chain=chain,
+            limits=np.array([(0.0, 0.0) if isinstance(j, LinkSpec) and j.follows else j.quantity("limits") for j in joints], dtype=float),
+            mass=np.concatenate([np.zeros(k), column["mass_kg"]]),
+            com=np.vstack([np.zeros((k, 3)), [link.com_mm for link in self.links]]),
+            speed=speed,
+            acceleration=acceleration,
+            jerk=jerk,
+            gear_ratio=_all_or_none([*[1.0] * k, *(link.gear_ratio for link in self.links)]),
             payload_mass=self.payload.mass_kg,
             payload_com=np.array(self.payload.com_mm, dtype=float),
             gravity=_unit(gravity),
             repeatability_mm=self.repeatability_mm,
             balancer=self.balancer,
-            drives=tuple(link.drive for link in self.links) if any(link.drive for link in self.links) else (),
+            drives=tuple(j.drive for j in joints) if any(j.drive for j in joints) else (),
+            names=_names(joints) if any(j.name for j in joints) else (),
         )
 
 
@@ -295,9 +411,11 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector if abs(length - 1) < 1e-15 else vector / length
 
 
+def _names(joints: tuple[JointSpec, ...]) -> tuple[str, ...]:
+    """Those that are given; the others are counted as axes of the arm."""
+    free = (name for name in (f"A{i}" for i in count(1)) if name not in {j.name for j in joints})
+    return tuple(j.name or next(free) for j in joints)
+
+
 def _all_or_none(values: list[Any]) -> np.ndarray | None:
     return None if any(v is None for v in values) else np.array(values, dtype=float)
-
-
-def _radians(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else from_degrees(values)

@@ -47,7 +47,8 @@ def rounding_noise(step: float) -> float:
 
 def with_joint_step(obs: Observations) -> Observations:
     """The observations, whose cell knows to what their joint angles were rounded."""
-    step = 0.0 if obs.cell.robot.of_flange_poses else joint_step(obs.q)
+    robot = obs.cell.robot
+    step = 0.0 if robot.of_flange_poses else joint_step(obs.q[:, ~robot.chain.prismatic])
     return replace(obs, cell=replace(obs.cell, joint_step=step)) if step else obs
 
 
@@ -58,11 +59,14 @@ def computed_by_the_arm(obs: Observations) -> float | None:
     robot = obs.cell.robot
     if obs.cell.measurement != TARGET_IN_BASE or robot.of_flange_poses:
         return None
+    turns = ~robot.chain.prismatic
     on_flange = se3.apply_each(se3.inverse(robot.chain.flange(obs.q)), obs.pose, obs.xyz)
     off = on_flange - np.array([np.mean(on_flange[obs.ball == b], axis=0) for b in range(obs.ball.max() + 1)])[obs.ball]
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     step_mm = next((step for step in STEPS_MM if _on_grid(obs.xyz, step)), 0.0)
-    rounding = np.hypot(np.sqrt(3) * rounding_noise(step_mm), rounding_noise(joint_step(obs.q)) * np.linalg.norm(robot.chain.lever))
+    rounding = np.hypot(
+        np.sqrt(3) * rounding_noise(step_mm), rounding_noise(joint_step(obs.q[:, turns])) * np.linalg.norm(robot.chain.lever[turns])
+    )
     return rms if rms < max(ALIKE_MM, 2.0 * rounding) else None
 
 

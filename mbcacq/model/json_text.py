@@ -157,7 +157,13 @@ Limits = Annotated[np.ndarray, InJson(list[tuple[End, End]], _without_end, np.nd
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Vector = Annotated[np.ndarray, as_list(list[FiniteFloat])]
 Transform = Annotated[np.ndarray, as_list(tuple[Row, Row, Row, Row])]
+RowsOfTransform = tuple[Row, Row, Row, Row]
 Matrix = Annotated[np.ndarray, as_list(list[list[FiniteFloat]])]
+
+
+def as_rows(T: np.ndarray | None) -> Any:
+    """A matrix as tuples of its rows, which can be compared; None of none."""
+    return None if T is None else tuple(map(tuple, T.tolist()))
 
 
 def plain(value: Any) -> Any:

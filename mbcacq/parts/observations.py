@@ -19,7 +19,7 @@ TARGET = 1  # number of a scene's origin, as of a ball
 
 
 def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[RegisteredScene, np.ndarray]]) -> Observations:
-    """The poses that saw parts, each with one measurement of its scene's pose.
+    """The poses that saw parts, each with one measurement of its scene's pose, or none where its scan was left out.
 
     Parameters
     ----------
@@ -44,13 +44,14 @@ def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[Register
     stations = tuple(replace(obs.cell.station(s), artefact=target.id, T_base_station=None, sigma_mm=None) for s in ids)
     sigma = np.sqrt(np.median(np.einsum("nii->ni", covariance), axis=0))
     cell = replace(obs.cell, artefacts=(target,), stations=stations, noise_mm=sigma[:3], noise_rad=float(sigma[3:].mean()))
-    kept = obs.select(np.isin(np.arange(obs.n_poses), poses))
-    station = np.concatenate([np.full(len(scenes[s][1]), k) for k, s in enumerate(ids)])[order]
+    number = {k: ids.index(s.id) for k, s in enumerate(obs.cell.stations) if s.id in ids}
+    here = np.isin(obs.station, list(number))  # with scans that overlap with no other, which have no measurement
+    kept = obs.select(here)
     return replace(
         kept,
         cell=cell,
-        station=station,
-        pose=np.arange(len(poses)),
+        station=np.array([number[s] for s in kept.station.tolist()], dtype=int),
+        pose=(np.cumsum(here) - 1)[poses[order]],
         ball=np.zeros(len(poses), dtype=int),
         xyz=T[:, :3, 3],
         rotation=T[:, :3, :3],

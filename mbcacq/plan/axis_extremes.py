@@ -12,16 +12,18 @@ from mbcacq.model.json_text import AsJson
 from mbcacq.plan.motion_limits import axis_limits, motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.timing import joint_motion, stopping_points
-from mbcacq.quantities import in_degrees
 
 SAMPLES = 100  # of a motion: every phase of constant jerk that matters holds several
 
 
 @dataclass(frozen=True)
 class AxisExtremes(AsJson):
-    """axis: counted from 1. Values in deg/s, deg/s^2, deg/s^3, each with the limit of the arm."""
+    """axis: counted from 1; name: of the axis. Values in deg/s, deg/s^2, deg/s^3 or, of a sliding axis, mm/s .., each with the limit of the
+    arm."""
 
     axis: int
+    name: str
+    unit: str
     speed: float
     speed_limit: float
     acceleration: float
@@ -41,5 +43,6 @@ def axis_extremes(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Se
         step_s = max(float(trajectory.duration) / (SAMPLES - 1), 1e-12)
         jerk = np.abs(np.diff(states[:, 1], axis=0)).max(axis=0) / step_s
         largest = np.maximum(largest, [*np.abs(states).max(axis=0), jerk])
-    columns = in_degrees([largest[0], allowed.speed, largest[1], allowed.acceleration, largest[2], allowed.jerk]).T
-    return [AxisExtremes(k, *row) for k, row in enumerate(columns.tolist(), 1)]
+    robot = loaded.cell.robot
+    columns = robot.shown(np.array([largest[0], allowed.speed, largest[1], allowed.acceleration, largest[2], allowed.jerk])).T
+    return [AxisExtremes(k + 1, robot.axes[k], robot.unit(k).strip(), *row) for k, row in enumerate(columns.tolist())]

@@ -128,7 +128,9 @@ class Clearance:
         The scanner and its carrier are no links, and no joint limit of the maker's keeps them off the arm. If they overlap with a link in
         every posture, they are divided, and only the overlapping parts are left out.
         """
-        return [p for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1) for p in self._examined(a, b)]
+        return [
+            p for a, b in combinations(self._arm, 2) if b.link > max(a.link, self._chain.first_turning + 1) for p in self._examined(a, b)
+        ]
 
     @cached_property
     def _random_postures(self) -> list[Posture]:
@@ -152,11 +154,12 @@ class Clearance:
             yield replace(pair, most=farthest / 2)
 
     def _against(self, body: Body) -> Iterator[Pair]:
-        """Standing bodies against all moving ones. A body that touches link 1 at every angle carries the arm."""
+        """Standing bodies against all moving ones. A body that touches link 1 at every angle, or what slides it, carries the arm."""
+        first = self._chain.first_turning + 1
         for part in self._arm:
-            if part.link == 1:
+            if 0 < part.link <= first:
                 yield from self._examined(body, part)
-            elif part.link > 1:
+            elif part.link > first:
                 yield self._pair(body, part)
 
     def _pair(self, a: Body, b: Body) -> Pair:
@@ -168,6 +171,7 @@ class Clearance:
         lever = np.zeros(self._chain.n)
         for joint in range(behind, body.link):
             lever[joint] = steps[joint : body.link].sum() + np.linalg.norm(body.pose[:3, 3]) + body.radius
+        lever[list(self._chain.sliding)] = 1.0
         return lever
 
 

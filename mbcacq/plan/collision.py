@@ -56,13 +56,14 @@ def arm_bodies(loaded: LoadedPlan) -> list[Body]:
     robot, field = loaded.cell.robot, loaded.plan.scanner.field_of_view
     frames = robot.chain.frames(np.zeros((1, robot.n)))[0]
     bodies = []
-    for i, radius in enumerate(_link_radii(loaded)):
+    first = robot.chain.first_turning  # what slides or turns below the arm has a shape that nobody stated
+    for i, radius in list(enumerate(_link_radii(loaded)))[first:]:
         lifted = frames[i, :3, 3] + robot.chain.d[i] * frames[i, :3, 2]
         # The d of a row lies along its own axis, so it turns with the link, but does not move.
         for part, (start, end) in enumerate(((frames[i, :3, 3], lifted), (lifted, frames[i + 1, :3, 3]))):
             if np.linalg.norm(end - start) > loaded.planning.shortest_body_mm:
-                link = 0 if i == 0 and part == 0 else i + 1
-                name = "base" if link == 0 else f"link {i + 1}"
+                link = i if i == first and part == 0 else i + 1
+                name = "base" if link == first else f"link {i + 1}"
                 bodies.append(_capsule(name, link, se3.inverse(frames[link]), start, end, radius))
     if field.body_mm is not None:
         low, high = np.array(field.body_mm)
@@ -90,7 +91,7 @@ def _bracket(loaded: LoadedPlan, low: np.ndarray, high: np.ndarray) -> Iterator[
 
 def surrounding_bodies(loaded: LoadedPlan) -> list[Body]:
     """Obstacles, and the workspace's limits as walls around it."""
-    boxes = [_box(o.name, 0, np.eye(4), np.array(o.min_mm), np.array(o.max_mm)) for o in loaded.plan.obstacles]
+    boxes = [_box(o.name, *_floor(loaded), np.array(o.min_mm), np.array(o.max_mm)) for o in loaded.plan.obstacles]
     return boxes + list(_walls(loaded))
 
 
@@ -103,7 +104,13 @@ def _walls(loaded: LoadedPlan) -> Iterator[Body]:
         for side, limit in (("lower", space.min_mm[axis]), ("upper", space.max_mm[axis])):
             near, far = low.copy(), high.copy()
             (far if side == "lower" else near)[axis] = limit
-            yield _box(f"the workspace's {side} {name} limit", 0, np.eye(4), near, far)
+            yield _box(f"the workspace's {side} {name} limit", *_floor(loaded), near, far)
+
+
+def _floor(loaded: LoadedPlan) -> tuple[int, np.ndarray]:
+    """Number of the frame that stands on the floor, and the base at zero in it."""
+    chain = loaded.cell.robot.chain
+    return chain.floor, se3.inverse(chain.frames(np.zeros((1, chain.n)))[0, chain.floor])
 
 
 def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
@@ -114,15 +121,17 @@ def station_bodies(loaded: LoadedPlan, station: str) -> list[Body]:
         low, high = artefact.box.copy()
     else:
         low, high = _room_of_balls(artefact, planning)
-    bodies = [_box(f"artefact {artefact.id}", 0, T_base_station, low, high)]
+    root = loaded.cell.robot.chain.root
+    T_frame_base = np.eye(4) if root is None else se3.inverse(root)
+    bodies = [_box(f"artefact {artefact.id}", 0, T_frame_base @ T_base_station, low, high)]
     radius = loaded.plan.tripod_radius_mm
     down = loaded.cell.robot.gravity
     top = se3.apply(T_base_station, np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])) + radius * down
     without_floor = top @ down + planning.deepest_tripod_mm
     floor = max((np.abs(np.array([o.min_mm, o.max_mm]) @ down).max() for o in loaded.plan.obstacles), default=without_floor)
     length = floor - top @ down - radius
-    if radius > 0 and length > planning.shortest_body_mm:
-        bodies.append(_capsule("tripod", 0, np.eye(4), top, top + length * down, radius))
+    if radius > 0 and length > planning.shortest_body_mm and not loaded.cell.robot.chain.floor:  # a table has no tripods
+        bodies.append(_capsule("tripod", 0, T_frame_base, top, top + length * down, radius))
     return bodies
 
 

@@ -194,7 +194,7 @@ def _swept(loaded: LoadedPlan, index: int, step: Sweep) -> Iterator[Target]:
 def _taught(loaded: LoadedPlan, index: int, step: Taught) -> Iterator[Target]:
     station = str(step.station)
     for i, pose in enumerate(step.poses_deg):
-        q = from_degrees(pose)
+        q = loaded.plan.robot.with_external(from_degrees(pose))
         balls = step.balls or visible_balls(loaded, station, loaded.cell.robot.chain.flange(q[None])[0])
         yield Target(index, station, None, q, balls, "any", ("steps", index, "poses_deg", i))
 
@@ -218,14 +218,37 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
         solver, wrist_bend = router_of(loaded).solver, wrist_axis(loaded.cell.robot.n)
         for (i, wrist, _), q in zip(free, solver.solutions(np.stack([T for *_, T in free])), strict=True):
             sign = {"any": 0, "positive": 1, "negative": -1}[wrist]
-            solutions[i] = _nearest_home(loaded, q[sign * q[:, wrist_bend] >= 0])
+            solutions[i] = _nearest_home(loaded, _spread(loaded, i, q[sign * q[:, wrist_bend] >= 0]))
     return solutions
+
+
+def _spread(loaded: LoadedPlan, number: int, q: np.ndarray) -> np.ndarray:
+    """Those of the positions (k, n) that reach a target at which the axes to be spread are nearest to its share of their range, by the
+    sequence of Halton (1960): any few in a row are spread over it."""
+    axes = np.flatnonzero(loaded.plan.robot.is_spread)
+    if not len(axes) or not len(q):
+        return q
+    low, high = loaded.cell.robot.limits[axes].T
+    away = np.abs((q[:, axes] - low) / (high - low) - [_halton(number + 1, base) for base in HALTON[: len(axes)]]).sum(axis=1)
+    return q[away <= away.min() + 1e-9]
+
+
+HALTON = (2, 3, 5, 7, 11, 13)  # bases of the sequence, one an axis
+
+
+def _halton(number: int, base: int) -> float:
+    value, share = 0.0, 1.0 / base
+    while number:
+        number, digit = divmod(number, base)
+        value, share = value + digit * share, share / base
+    return value
 
 
 def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """The joint positions (k, n) rad nearest to home, no more than planning looks at, in their order."""
     most, home = loaded.planning.most_positions, loaded.plan.robot.home
-    return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
+    unit = loaded.cell.robot.chain.by_kind(1.0, 2e-3)  # a track goes half a metre while an axis turns by 1 rad
+    return q if len(q) <= most else q[np.sort(np.argsort((np.abs(q - home) * unit).sum(axis=1), kind="stable")[:most])]
 
 
 def _planned(loaded: LoadedPlan, number: int, target: Target, q: np.ndarray) -> PlannedPose:

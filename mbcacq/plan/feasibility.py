@@ -15,7 +15,6 @@ from mbcacq.plan.occlusion import check_visibility
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.plausibility import lacks_orientation, symmetric
 from mbcacq.plan.routing import Routes, find_paths, obstructed_sentence
-from mbcacq.quantities import in_degrees
 
 
 def check(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> list[PlanFinding]:
@@ -64,12 +63,14 @@ def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
 def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Accelerations and jerks that the plan asks for and the arm does not allow."""
     wanted, allowed = requested_limits(loaded), axis_limits(loaded)
-    for article, what, key, unit in (("an", "acceleration", "acceleration_time_s", "°/s²"), ("a", "jerk", "jerk_time_s", "°/s³")):
-        asked, limit = (in_degrees(getattr(limits, what)) for limits in (wanted, allowed))
+    robot = loaded.cell.robot
+    for article, what, key, per in (("an", "acceleration", "acceleration_time_s", "/s²"), ("a", "jerk", "jerk_time_s", "/s³")):
+        asked, limit = (robot.shown(getattr(limits, what)) for limits in (wanted, allowed))
         axis = int(np.argmax(asked / limit))
         if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
             line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
-            sentence = f"A{axis + 1} would get {article} {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
+            reached = f"{asked[axis]:.0f} {robot.unit(axis).strip()}{per}"
+            sentence = f"{robot.axes[axis]} would get {article} {what} of {reached}, its limit is {limit[axis]:.0f}; raise {key}"
             yield PlanFinding(level="error", code="motion-limits", step="", place=f"{loaded.path}:{line}", sentence=sentence)
 
 
@@ -87,19 +88,13 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
         ends = np.array([pose.q if pose.sweep is None else pose.sweep, pose.q])
         room = np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends).min(axis=0)
         axis = int(np.argmin(room))
-        angle = in_degrees(ends[np.argmin(np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends)[:, axis]), axis])
-        low, high = in_degrees(robot.limits[axis])
-        limits = f"its limits {low:g}..{high:g}°"
+        angle = robot.shown(ends[np.argmin(np.minimum(ends - robot.limits[:, 0], robot.limits[:, 1] - ends)[:, axis])])[axis]
+        low, high = robot.shown(robot.limits.T)[:, axis]
+        limits, at = f"its limits {low:g}..{high:g}{robot.unit(axis)}", f"{robot.axes[axis]} at {angle:.1f}{robot.unit(axis)}"
         if room[axis] < 0:
-            yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f}° exceeds {limits}; take another pose")
-        elif room[axis] < loaded.planning.near_limit:
-            yield finding(
-                loaded,
-                pose,
-                "warning",
-                "near-limit",
-                f"A{axis + 1} at {angle:.1f}° comes close to {limits}; another tilt, azimuth or roll keeps away",
-            )
+            yield finding(loaded, pose, "error", "limits", f"{at} exceeds {limits}; take another pose")
+        elif room[axis] < loaded.planning.near_limit and axis >= robot.external:  # a track is at its end where the plan puts it
+            yield finding(loaded, pose, "warning", "near-limit", f"{at} comes close to {limits}; another tilt, azimuth or roll keeps away")
         for code, sentence in _singularities(loaded, pose.q):
             yield finding(loaded, pose, "warning", code, sentence)
 

@@ -69,9 +69,10 @@ def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
     """(P,) bool: the last axis lies on the side of axis 1 that the arm faces, not behind it."""
     link = chain.link_transforms(q)
     tip = link[:, -2, :3, 3]  # origin of the frame of the last axis, brought back link by link to the frame behind axis 1
-    for i in range(chain.n - 3, 0, -1):
+    first = chain.first_turning
+    for i in range(chain.n - 3, first, -1):
         tip = se3.apply(link[:, i], tip)
-    return np.einsum("pi,pi->p", link[:, 0, :3, 0], se3.apply(link[:, 0], tip)) >= 0
+    return np.einsum("pi,pi->p", link[:, first, :3, 0], se3.apply(link[:, first], tip)) >= 0
 
 
 def wrist_bend(chain: Chain, q: np.ndarray) -> np.ndarray:
@@ -90,7 +91,8 @@ def _motion_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray, mean_joint_sha
 def _posture_cost(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
     """(k,) s: grows as a position comes close to a limit, and as its wrist straightens."""
     joint_limits, planning = loaded.cell.robot.limits, loaded.planning
-    room = np.minimum(q - joint_limits[:, 0], joint_limits[:, 1] - q).min(axis=1)
+    own = slice(loaded.cell.robot.chain.first_turning, None)
+    room = np.minimum(q - joint_limits[:, 0], joint_limits[:, 1] - q)[:, own].min(axis=1)
     bend = wrist_bend(loaded.cell.robot.chain, q)
     near_limit = np.clip(1 - room / planning.preferred_limit_margin, 0, 1)
     straight = np.clip(1 - bend / planning.preferred_wrist_bend, 0, 1)

@@ -7,6 +7,7 @@ Spherical Wrist" (2014), as py-opw-kinematics implements them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -43,15 +44,72 @@ class InverseKinematics(Protocol):
         ...
 
 
-def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None, *, sampled: bool = False) -> InverseKinematics:
+def inverse_kinematics(
+    robot: RobotModel, home: np.ndarray | None = None, *, sampled: bool = False, free: Sequence[bool] = ()
+) -> InverseKinematics:
     """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them. sampled:
-    whether only some branches of an arm without a closed form are looked for, which takes a quarter of the time."""
+    whether only some branches of an arm without a closed form are looked for, which takes a quarter of the time. free: of each external
+    axis before the arm, whether it may leave home."""
+    if robot.external and home is not None:
+        return ExternalAxesInverse.of(robot, home, free or (True,) * robot.external, sampled)
     try:
         return OrthoParallelInverse.of(robot)
     except ConfigError:
         closed = ThreeParallelAxesInverse.of(robot.chain, robot.limits)
         options = SAMPLED if sampled else SolverOptions()
         return closed or NumericalInverse(robot.chain, robot.limits, options, preferred=home)
+
+
+GRID = 9  # places of a free external axis that are tried: the least of a few metres of track over the reach of an arm
+
+
+@dataclass(frozen=True)
+class ExternalAxesInverse:
+    """Solver of an arm behind external axes: that of the arm alone, at places of these axes spread over what they may do.
+
+    chain: of all axes; arm: solver of the arm's own; places: (k, m) positions of the external axes, home first.
+    """
+
+    chain: Chain
+    arm: InverseKinematics
+    places: np.ndarray
+    limits: np.ndarray
+
+    @classmethod
+    def of(cls, robot: RobotModel, home: np.ndarray, free: Sequence[bool], sampled: bool) -> ExternalAxesInverse:
+        """The solver of a robot whose first axes are external."""
+        m, chain = robot.external, robot.chain
+        own = Chain(chain.sign[m:], *chain.rows[m:].T)
+        arm = inverse_kinematics(replace(robot, chain=own, limits=robot.limits[m:], names=()), home[m:], sampled=sampled)
+        spread = [
+            np.r_[home[i], np.linspace(robot.limits[i, 0], robot.limits[i, 1], GRID)] if free[i] else home[i : i + 1] for i in range(m)
+        ]
+        return cls(chain, arm, np.array(list(product(*spread))), robot.limits)
+
+    def _bases(self, places: np.ndarray) -> np.ndarray:
+        """(k, 4, 4): the frame of the arm's first axis at places (k, m) of the external axes."""
+        q = np.zeros((len(places), self.chain.n))
+        q[:, : places.shape[1]] = places
+        return self.chain.frames(q)[:, places.shape[1]]
+
+    def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
+        """Per pose (P, 4, 4) the positions (k, n) rad, mm that reach it at any of the places."""
+        targets = np.asarray(T_base_flange, dtype=float).reshape(-1, 4, 4)
+        every = se3.inverse(self._bases(self.places))[None] @ targets[:, None]
+        found = self.arm.solutions(every.reshape(-1, 4, 4), margin)
+        k = len(self.places)
+        return [
+            np.concatenate(
+                [np.column_stack([np.tile(e, (len(q), 1)), q]) for e, q in zip(self.places, found[p * k : (p + 1) * k], strict=True)]
+            )
+            for p in range(len(targets))
+        ]
+
+    def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+        """The position (n,) at a pose (4, 4) with the external axes as at ``q`` (n,), on its branch; None where there is none."""
+        m = self.places.shape[1]
+        found = self.arm.nearest(se3.inverse(self._bases(q[None, :m])[0]) @ T_base_flange, q[m:])
+        return None if found is None else np.concatenate([q[:m], found])
 
 
 def wrist_axis(n: int) -> int:

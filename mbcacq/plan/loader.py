@@ -11,12 +11,12 @@ import numpy as np
 from mbcacq.files.atomic_write import finish_set
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.model import cell, shipped
-from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
+from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec, joint_key
 from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
-from mbcacq.plan.schema import Look, Plan, ScanPart, Sweep, Taught
+from mbcacq.plan.schema import Look, Plan, RobotUse, ScanPart, Sweep, Taught
 
 PLAN_FORMAT = "mbcacq-plan/1"
 SMALLEST_PART_MM = 5.0
@@ -69,6 +69,11 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
     if use.urdf is not None and not (urdf := file.path.parent / use.urdf).is_file():
         raise file.error(("robot", "urdf"), f"there is no URDF {urdf}; correct the path (it is relative to the plan)")
     spec = source.validate(RobotSpec)
+    if slides := [i for i, link in enumerate(spec.links) if link.slides or link.follows]:
+        raise source.error(
+            ("links", slides[0]),
+            "a plan moves links that turn, and external axes that turn or slide; give sliding ones as external_axes under robot",
+        )
     for index, link in enumerate(spec.links):
         if link.limits_deg[0] >= link.limits_deg[1]:
             raise source.error(("links", index, "limits_deg"), f"limits of A{index + 1}: the lower one must come first; exchange them")
@@ -78,18 +83,39 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
             ("robot", "base_to_gravity"),
             "base_to_gravity is a direction and cannot be zero; give the direction in which things fall, in the base frame",
         )
-    model = spec.model()
+    if spec.external_axes:
+        raise source.error(("external_axes",), "a plan has the external axes itself; move them to robot: external_axes of the plan")
+    _check_external_axes(file, use)
+    model = spec.model(use.external_axes)
     if use.payload is not None:
         model = replace(model, payload_mass=use.payload.mass_kg, payload_com=np.array(use.payload.com_mm))
     if use.base_to_gravity is not None:
         down = np.array(use.base_to_gravity)
         model = replace(model, gravity=down / np.linalg.norm(down))
-    home = use.home
     _check_joints(file, ("robot", "home_deg"), use.home_deg, model)
+    home = use.home
     outside = np.flatnonzero((home < model.limits[:, 0]) | (home > model.limits[:, 1]))
     if len(outside):
-        raise file.error(("robot", "home_deg"), f"the home position exceeds the limits of A{outside[0] + 1}; choose another")
+        raise file.error(("robot", "home_deg"), f"the home position exceeds the limits of {model.axes[outside[0]]}; choose another")
     return model
+
+
+def _check_external_axes(file: YamlFile, use: RobotUse) -> None:
+    """Each external axis has a name, a speed and a place at home."""
+    names = [axis.name for axis in use.external_axes]
+    for index, axis in enumerate(use.external_axes):
+        where = ("robot", "external_axes", index)
+        if axis.name is None or names.count(axis.name) > 1:
+            raise file.error(where, "an external axis needs a name of its own, E1 to E9; add it")
+        if not (axis.quantity("speed") or 0) > 0:
+            raise file.error(where, f"{axis.name} has no {joint_key('speed', axis.type)} above 0; an axis that is to move needs it")
+        if not np.any(axis.direction):
+            raise file.error(where, f"{axis.name} has a direction of length zero; correct it")
+    if use.home_external and len(use.home_external) != len(names):
+        raise file.error(("robot", "home_external"), f"{len(use.home_external)} positions are given for {len(names)} external axes")
+    for key, named in (("fixed_axes", use.fixed_axes), ("spread_axes", use.spread_axes)):
+        if wrong := set(named) - set(names):
+            raise file.error(("robot", key), f"there is no external axis '{min(wrong)}'; give one of {', '.join(map(str, names))}")
 
 
 def _check_motion_limits(source: YamlFile, spec: RobotSpec) -> None:
@@ -229,7 +255,8 @@ def _check_balls(file: YamlFile, where: Path_, step: str, balls: tuple[int, ...]
 
 
 def _check_joints(file: YamlFile, where: Path_, angles_deg: Sequence[float], robot: cell.RobotModel) -> None:
-    if len(angles_deg) != robot.n:
-        raise file.error(where, f"{len(angles_deg)} joint angles are given, but the robot has {robot.n} axes; give one for each axis")
-    if sentence := looks_like_radians(angles_deg, robot.limits):
+    own = [not name.startswith("E") for name in robot.axes]
+    if len(angles_deg) != sum(own):
+        raise file.error(where, f"{len(angles_deg)} joint angles are given, but the robot has {sum(own)} axes; give one for each axis")
+    if sentence := looks_like_radians(angles_deg, robot.limits[own]):
         raise file.error(where, sentence)

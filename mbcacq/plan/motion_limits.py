@@ -8,9 +8,9 @@ import numpy as np
 
 from mbcacq.devices import MotionLimits, SafetyStop
 from mbcacq.errors import ConfigError
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import Cell, RobotModel
 from mbcacq.plan.planned import LoadedPlan
-from mbcacq.quantities import from_degrees, in_degrees
+from mbcacq.quantities import from_degrees
 
 LEAST_TRAVEL = 1e-4  # rad: an axis that moves less has limits all the same
 T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
@@ -62,21 +62,22 @@ def sweep_limits(loaded: LoadedPlan, start: np.ndarray, end: np.ndarray, speed_m
     return replace(limits, speed=rate * travel, acceleration=acceleration * travel, jerk=jerk * travel)
 
 
-def check_target(target: np.ndarray, limits: np.ndarray) -> None:
-    """Last gate before a command. Raises SafetyStop for a target that is not finite or outside the joint limits (n, 2) rad."""
-    outside = ~np.isfinite(target) | (target < limits[:, 0]) | (target > limits[:, 1])
+def check_target(target: np.ndarray, robot: RobotModel) -> None:
+    """Last gate before a command. Raises SafetyStop for a target that is not finite or outside the joint limits."""
+    outside = ~np.isfinite(target) | (target < robot.limits[:, 0]) | (target > robot.limits[:, 1])
     if outside.any():
         axis = int(np.argmax(outside))
-        low, high = in_degrees(limits[axis])
-        angle = in_degrees(target[axis])
-        raise SafetyStop(f"A{axis + 1} would go to {angle:.2f}°, outside its limits {low:g}..{high:g}°; nothing was moved")
+        (low, high), unit = robot.shown(robot.limits.T)[:, axis], robot.unit(axis)
+        at = f"{robot.axes[axis]} would go to {robot.shown(target)[axis]:.2f}{unit}"
+        raise SafetyStop(f"{at}, outside its limits {low:g}..{high:g}{unit}; nothing was moved")
 
 
 def arms_beyond(cell: Cell) -> np.ndarray:
-    """(n,) mm: how far the scanner's origin can at most be from each axis, all links behind it stretched."""
+    """(n,) mm: how far the scanner's origin can at most be from each axis, all links behind it stretched; 1 of a prismatic one."""
     chain = cell.robot.chain
     links = np.hypot(chain.a, chain.d)
-    return np.cumsum(links[::-1])[::-1] + float(np.linalg.norm(cell.T_flange_scanner[:3, 3]))
+    beyond = np.cumsum(links[::-1])[::-1] + float(np.linalg.norm(cell.T_flange_scanner[:3, 3]))
+    return np.where(chain.prismatic, 1.0, beyond)
 
 
 def longest_duration(travel: np.ndarray, limits: MotionLimits, arms: np.ndarray) -> float:

@@ -11,7 +11,6 @@ from mbcacq.errors import SafetyStop
 from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
-from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,9 @@ def _refuse_outside_limits(loaded: LoadedPlan, segment: MotionSegment, where: st
         outside = ~np.isfinite(q) | (q < limits[:, 0] - rounding) | (q > limits[:, 1] + rounding)
         if outside.any():
             axis = int(np.argmax(outside))
-            raise SafetyStop(f"{where} A{axis + 1} would reach {in_degrees(q[axis]):.1f}°, outside its limits; nothing was moved")
+            robot = loaded.cell.robot
+            at = f"{robot.axes[axis]} would reach {robot.shown(q)[axis]:.1f}{robot.unit(axis)}"
+            raise SafetyStop(f"{where} {at}, outside its limits; nothing was moved")
 
 
 def swept(loaded: LoadedPlan, motions: Sequence[MotionSegment]) -> Swept:

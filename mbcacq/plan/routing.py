@@ -13,7 +13,6 @@ from mbcacq.geometry import se3
 from mbcacq.plan.clearance import Closest, clearance_of
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
-from mbcacq.quantities import in_degrees
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
     needed = min(loaded.plan.clearance_mm, router.clearance.at(q, None).distance - 1.0)  # an arm that stands too close may move away
     near = router.clearance.along_segment(q, router.home, None, needed)
     if near is not None:
-        angles = ", ".join(f"{a:.1f}" for a in in_degrees(q))
+        angles = ", ".join(f"{a:.1f}" for a in loaded.cell.robot.shown(q))
         raise SafetyStop(
             f"the arm stands at {angles}°; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
             f"of {near.b}; bring it near home by hand, then start again"
@@ -121,7 +120,7 @@ class Router:
         self.home = loaded.plan.robot.home
         self.clearance = clearance_of(loaded)
         self._needed = loaded.plan.clearance_mm
-        self.solver = inverse_kinematics(loaded.cell.robot, self.home)
+        self.solver = inverse_kinematics(loaded.cell.robot, self.home, free=loaded.plan.robot.free_axes)
 
     def between(self, a: PlannedPose, b: PlannedPose) -> list[np.ndarray] | None:
         """Waypoints from a to b, both looking at the artefact of one station."""

@@ -22,7 +22,7 @@ from mbcacq.model.bounds import (
     Radius,
     Resolution,
 )
-from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Whole, whole
+from mbcacq.model.cell_schema import ExternalAxisSpec, PayloadSpec, PoseSpec, Strict, TemperatureRange, Whole, in_order_of_chain, whole
 from mbcacq.quantities import from_degrees
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
@@ -71,6 +71,10 @@ class RobotUse(Strict):
     settle_s: float = Field(default=0.3, ge=0, le=LONGEST_S)
     tolerance_deg: float = Field(default=0.01, gt=0, le=30)
     home_deg: tuple[JointAngle, ...]  # where the run starts, ends, and the artefact is moved
+    external_axes: tuple[ExternalAxisSpec, ...] = ()  # track, lift, gantry under the arm; turntable, positioner under the artefact
+    home_external: tuple[Position, ...] = ()  # of these axes, deg or mm; default: zero
+    fixed_axes: tuple[str, ...] = ()  # names of those that stay at home; the others go where they bring the arm soonest
+    spread_axes: tuple[str, ...] = ()  # names of those that are spread over what they may do, from view to view
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
     link_radius_mm: Radius | None = None  # of the upper arm, for collisions; default: 7 % of the arm's reach
     base_to_gravity: Direction | None = None  # for an arm on a wall or a ceiling; default: the robot file's
@@ -79,8 +83,24 @@ class RobotUse(Strict):
 
     @property
     def home(self) -> np.ndarray:
-        """(n,) rad."""
-        return from_degrees(self.home_deg)
+        """(n,) rad, mm."""
+        return self.with_external(from_degrees(self.home_deg))
+
+    @property
+    def free_axes(self) -> tuple[bool, ...]:
+        """Whether each external axis, in the order of the chain, may leave home for a target."""
+        return tuple(axis.name not in self.fixed_axes for axis in in_order_of_chain(self.external_axes))
+
+    @property
+    def is_spread(self) -> tuple[bool, ...]:
+        """Whether the views are spread over what each external axis, in the order of the chain, may do."""
+        return tuple(axis.name in self.spread_axes for axis in in_order_of_chain(self.external_axes))
+
+    def with_external(self, arm: np.ndarray) -> np.ndarray:
+        """Positions (n,) of all axes in the order of the chain: those of the arm (m,) rad, the external ones at home."""
+        values = self.home_external or (0.0,) * len(self.external_axes)
+        at_home = {axis.name: axis.inside(value) for axis, value in zip(self.external_axes, values, strict=False)}
+        return np.concatenate([[at_home[axis.name] for axis in in_order_of_chain(self.external_axes)], arm])
 
 
 class FieldOfView(Strict):

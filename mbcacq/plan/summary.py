@@ -11,7 +11,6 @@ from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.routing import Routes, find_paths
 from mbcacq.plan.timing import duration, motion_time
-from mbcacq.quantities import in_degrees
 
 
 def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | None = None) -> dict[str, Any]:
@@ -33,7 +32,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
                 "station": p.station,
                 "artefact": p.artefact,
                 "balls": list(p.balls),
-                "q_deg": in_degrees(p.q).round(4).tolist(),
+                "q_deg": loaded.cell.robot.shown(p.q).round(4).tolist(),
                 "exposures": p.exposures,
                 "line": p.line,
                 "waypoints": len(t),
@@ -41,13 +40,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
             }
             for p, t, s in zip(poses, transits, starts, strict=True)
         ],
-        "duration": {
-            "total_s": total.total_s,
-            "motion_s": total.motion_s,
-            "settle_s": total.settle_s,
-            "exposure_s": total.exposure_s,
-            "station_changes": total.station_changes,
-        },
+        "duration": {name: getattr(total, name) for name in ("total_s", "motion_s", "settle_s", "exposure_s", "station_changes")},
         "axes": [axis.to_dict() for axis in axis_extremes(loaded, poses, transits)],
     }
 

@@ -23,7 +23,8 @@ from mbcacq.model.cell import TARGET_IN_BASE, Measurement, RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import in_degrees, uncertainty
 from mbcacq.recording.datasets import quaternions
-from mbcacq.recording.datasets.csv_columns import numbered, numbers
+from mbcacq.recording.datasets.columns_of_joints import text_of_joints
+from mbcacq.recording.datasets.csv_columns import numbers
 from mbcacq.recording.datasets.image_set import ImageViews, observations_of_views
 from mbcacq.recording.datasets.loose_table import LEAST_POSES, TableOptions
 from mbcacq.recording.datasets.observation_set import write_observation_set
@@ -182,8 +183,7 @@ class HandEyeSession:
 
     def _columns(self) -> dict[str, tuple[str, ...]]:
         if self.robot is not None:
-            values = in_degrees(np.array(self.poses))
-            return {name: tuple(numbers(values[:, k])) for k, name in enumerate(numbered("q{}_deg", self.robot.n))}
+            return {name: tuple(text) for name, text in text_of_joints(self.robot, "q", np.array(self.poses)).items()}
         T = np.array(self.poses)
         values = np.c_[T[:, :3, 3], quaternions.from_matrix(T[:, :3, :3])]
         return {name: tuple(numbers(values[:, k])) for k, name in enumerate(FLANGE)}

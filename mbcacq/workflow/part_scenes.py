@@ -13,16 +13,17 @@ from mbcacq.parts.observations import observations_of_parts
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.parts.scene import register
+from mbcacq.spheres.cloud_files import SUFFIXES, read_points
 
 
 def scenes_as_observations(source: Path, obs: Observations) -> Observations:
     """The recording's scans of parts, brought together station by station, each from where the cell as described puts it.
 
-    Raises ConfigError if no two scans of any station overlap.
+    Raises ConfigError if no two scans of a station overlap, or it has none.
     """
     o, chain = PartOptions(), obs.cell.robot.chain
     pose_of = {int(number): k for k, number in enumerate(obs.pose_id)}
-    scenes, faults = {}, []
+    scenes = {}
     for station in obs.cell.stations:
         there = obs.station == obs.cell.stations.index(station)
         if not (obs.cell.artefact(station.artefact).is_part and there.any()):
@@ -33,11 +34,10 @@ def scenes_as_observations(source: Path, obs: Observations) -> Observations:
             poses = np.array([pose_of[scan.number] for scan, _ in scans])
             scene = register([surface for _, surface in scans], chain.flange(obs.q[poses]) @ obs.cell.T_flange_scanner, o)
         except ConfigError as error:
-            faults.append(error)
-            continue
+            raise ConfigError(f"station '{station.id}': {error}") from None
         scenes[station.id] = scene, np.delete(poses, list(scene.left_out))
     if not scenes:
-        raise faults[0] if faults else ConfigError("the recording holds no scan of its parts; scan them, or give a recording of balls")
+        raise ConfigError("the recording holds no scan of its parts; scan them, or give a recording of balls")
     return observations_of_parts(obs, scenes)
 
 
@@ -77,8 +77,6 @@ def _of_run(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
 
 
 def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
-    from mbcacq.spheres.cloud_files import SUFFIXES, read_points
-
     for number, q in of_pose.items():
         for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
             if path.is_file():

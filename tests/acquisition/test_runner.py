@@ -267,7 +267,7 @@ def test_no_target_outside_the_limits_is_ever_sent(angle):
     target = np.zeros(6)
     target[4] = angle
     with pytest.raises(devices.SafetyStop, match="A5"):
-        check_target(target, np.radians([[-170.0, 170]] * 6))
+        check_target(target, RobotModel("arm", CHAIN, np.radians([[-170.0, 170]] * 6), np.zeros(6), np.zeros((6, 3))))
 
 
 def test_a_refused_confirmation_moves_nothing(world):

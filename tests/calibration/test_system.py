@@ -59,6 +59,29 @@ def test_columns_of_every_parameter_are_derivatives(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_what_a_solution_gave_back_is_made_again(kind):
+    """Under its own noise, at the residual of a step within its linear problem, and from the start of that step under another noise."""
+    rng = np.random.default_rng(6)
+    cell = simulated(kind, rng)
+    obs, options = cell.observations, CalibrationOptions()
+    lineariser = Lineariser(obs, parameters.build(obs, options), options)
+    noise, other = (Noise(np.full(3, 0.01 * k), np.full(obs.cell.robot.n, 1e-5), 2e-4) for k in (1, 2))
+    start = system(lineariser, Estimate(cell.truth), noise, Weights(rng.uniform(0.5, 1, obs.n_centres), np.ones(obs.n_poses)))
+    at = start.stepped(start.normal.gauss_newton_step(lineariser.layout.scale))
+
+    def figures():
+        again = at.reweighted(other, at.weights)
+        squares = at.poses.chi2(start.there.rows), again.cost
+        return *squares, *at.poses.products(), *at.poses.right_hand_side(), at.there.prediction.xyz, again.normal.information
+
+    before = figures()
+    for columns_too in (False, True):
+        at.forget(columns_too)
+        for one, same in zip(figures(), before, strict=True):
+            np.testing.assert_array_equal(one, same)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_whitening_is_the_inverse_covariance_of_each_pose(kind):
     rng = np.random.default_rng(2)
     cell = simulated(kind, rng)

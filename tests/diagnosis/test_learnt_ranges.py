@@ -12,6 +12,7 @@ from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.kept_model import term_of
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.effects.learnt_range import LearntRange
@@ -115,6 +116,19 @@ def test_a_gear_winds_up_in_proportion_to_loads_beyond_the_recorded_ones_with_an
     held = term_of(Covariates(here), unnamed_one, None, np.array([1e-6]), np.array([1e-8]))
     moved = replace(model, terms=(held,)).displacements(there).joint[:, 1]
     np.testing.assert_allclose(moved, 1e-6 * np.clip(loads, seen.min(), seen.max()), rtol=1e-12)
+
+
+def test_the_spring_of_a_balancer_pulls_by_its_levers_wherever_the_arm_is(third):
+    here, there = third
+    spring = next(c for c in prepare(here).candidates if c.name == "gravity_compensator")
+    term = term_of(Covariates(here), spring, 0.15, np.array([1e-3, -2e-3, 1e-4]), np.full(3, 1e-5))
+    model = EffectModel(here.cell.robot, (term,), LearntRecording.of(here))
+    (everywhere,) = evaluated(Covariates(there), term.parts)
+    np.testing.assert_allclose(model.displacements(there).joint[:, 1], everywhere.basis @ term.coefficients, atol=1e-15)
+    (beyond,) = model.left_out_at(there)
+    outside = term.ranges["q2"].outside("q2", there.q[:, 1])
+    stated = np.linalg.norm(beyond.parts[0].basis * beyond.sigma, axis=1)
+    assert stated[~outside].max() < stated[outside].min()
 
 
 @pytest.mark.parametrize(

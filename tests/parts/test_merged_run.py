@@ -9,6 +9,7 @@ import pytest
 from dry_runs import PLANS, plan_file, recorded
 
 from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.mesh_file import read_mesh
@@ -166,3 +167,16 @@ def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):
     at = [found.names.index(f"hand_eye.{axis}") for axis in "xyz"]
     local = cell.state.T_flange_scanner[:3, :3].T @ after
     assert np.all(np.abs(local) < 4 * np.sqrt(np.diag(found.covariance)[at]))
+
+
+def test_scans_fit_once_the_part_alone_calibrated_hand_eye_and_arm(run):
+    folder, observations, _ = run
+    alone = scenes_as_observations(folder, observations.select(observations.phase == "part"))
+    options = options_for(alone, CalibrationOptions())
+    assert options.kinematics
+    found = calibrate(alone, options)
+    scans = [(scan, thinned(surface_of(scan), 8_000)) for scan in _scans(folder, observations)]
+    fitted = agreement(scans, placements(found), PartOptions())
+    assert fitted.rms_mm("geometry") < fitted.rms_mm("before") / 5
+    assert fitted.ratio < 1.8
+    assert found.expected_accuracy(postures=50) > 0.1  # elsewhere the arm is hardly better known than before

@@ -238,7 +238,7 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "a length of a link without its unit": (file("robot.yaml", ("d_mm: 400", "d: 400")), "links[0] lacks 'd_mm'", "add it"),
     "a URDF with another flange": (robot(URDF, flange="flange"), "has no link 'flange'", "its links are base_link, one, two, tool0"),
     "a URDF that is still xacro": (robot(URDF.replace("0 0 0.4", "0 0 ${h}")), "should be 3 numbers", "is it a xacro file?"),
-    "a linear axis in the URDF": (robot(URDF.replace("revolute", "prismatic", 1), base="base_link"), "is prismatic", "name its --base and --flange"),
+    "a planar joint in the URDF": (robot(URDF.replace("revolute", "planar", 1), base="base_link"), "is planar", "name its --base and --flange"),
     "an SDF for a URDF": (robot(URDF.replace("robot", "sdf")), "begins with <sdf>", "give a .urdf, .xacro or MJCF file"),
     "DH rows without their convention": (robot("theta_deg,d_mm,a_mm,alpha_deg\n", "rows.csv"), "which convention", "say --convention"),
     "DH rows without units": (

@@ -85,7 +85,7 @@ def test_lengths_of_nearly_parallel_axes_may_be_large_and_cancel(read):
         (FORMS["units in the cells alone"].replace("-pi/2", "-1.57", 1), "column alpha names no unit"),
         (PLAIN.replace("d_mm", "d (kg)"), "rows.csv:1: column d .kg.: d_mm cannot be given in kg"),
         (PLAIN.replace("d_mm", "d_deg"), "column d_mm is missing .the header has: theta_deg, d_deg"),
-        (FORMS["type R"].replace(",R", ",P", 1), "row 1 is of type 'P'; an arm of revolute joints is needed"),
+        (FORMS["type R"].replace(",R", ",P", 1), "row 1 slides and has no lower_mm and upper_mm; give both"),
         (PLAIN.replace("0,400,25,-90", "0,400,25,5,-90"), "rows.csv:2: column alpha_deg: the row has 5 cells, the header 4"),
         (PLAIN.replace("400", "4_00"), "not a number"),
         (PLAIN.replace("theta_deg", "d_cm"), "columns d_cm and d_mm both give d_mm"),
@@ -110,10 +110,13 @@ def test_a_calibrated_table_is_not_taken_for_radians(read):
     assert np.degrees(rows[0][3]) == pytest.approx(-90.0131)
 
 
-def test_the_sigma_of_a_slide_is_no_revolute_axis(tmp_path):
-    text = "sigma,theta_deg,d_mm,a_mm,alpha_deg\n0,0,400,25,-90\n{},0,0,560,0\n0,-90,0,25,-90\n"
+def test_a_row_of_sigma_one_slides_along_its_z(tmp_path):
+    """Behind the first row's -90 deg about x the next z is y of the base."""
+    text = "sigma,theta_deg,d_mm,a_mm,alpha_deg,lower_mm,upper_mm\n0,0,400,25,-90,,\n{},0,0,560,0,-100,900\n0,-90,0,25,-90,,\n"
     (tmp_path / "a.csv").write_text(text.format(1))
-    with pytest.raises(ConfigError, match="row 2 is of type '1'; an arm of revolute joints is needed"):
-        import_robot(tmp_path / "a.csv", convention="standard")
+    arm = RobotSpec.model_validate(yaml.safe_load(import_robot(tmp_path / "a.csv", convention="standard").text)).model()
+    at = arm.chain.flange(np.array([[0, 0, 0], [0, 321.0, 0]]))
+    np.testing.assert_allclose(at[1, :3, 3] - at[0, :3, 3], [0, 321, 0], atol=1e-9)
+    assert arm.limits[1].tolist() == [-100, 900]
     (tmp_path / "a.csv").write_text(text.format(0))
     assert len(import_robot(tmp_path / "a.csv", convention="standard").joints) == 3

@@ -123,7 +123,7 @@ def test_the_flange_is_what_is_fixed_behind_the_last_link(read):
     assert read(described(camera)).flange == "tool0"
 
 
-def test_one_arm_on_a_vehicle_with_a_head_is_found(read):
+def test_one_arm_on_a_lift_with_a_head_is_found(read):
     others = [joint(f"wheel{i}", "base", f"wheel{i}", "continuous") for i in range(4)] + [
         joint("lift", "base", "torso", "prismatic"),
         joint("pan", "torso", "pan"),
@@ -131,34 +131,69 @@ def test_one_arm_on_a_vehicle_with_a_head_is_found(read):
         joint("mount", "torso", "link0", "fixed"),
     ]
     found = read(described([*others, *arm(6)]))
-    assert (found.base, found.flange) == ("link0", "link6")
-    assert any("lift carries the arm" in remark for remark in found.remarks)
+    assert (found.base, found.flange, found.joints[0]) == ("base", "link6", "lift")
     assert any("the longest, of 6 axes, is taken" in remark for remark in found.remarks)
 
 
-def test_a_vehicles_turn_that_counts_as_axis_1_is_said(read):
-    """A vehicle that slides, then turns, with an arm of seven axes: eight are left behind the slide."""
-    vehicle = [joint("slide", "world", "on_x", "prismatic"), joint("turn", "on_x", "link0", "continuous")]
+def test_a_slide_without_ends_is_a_vehicles(read):
+    """A vehicle that slides without limits, then turns, with an arm of seven axes: eight are left behind the slide."""
+    vehicle = [joint("slide", "world", "on_x", "prismatic", more=""), joint("turn", "on_x", "link0", "continuous")]
     found = read(described([*vehicle, *arm(7)]))
     assert found.joints[0] == "turn"
     assert any("'turn' behind what carries the arm counts as axis 1" in remark and "--base link0" in remark for remark in found.remarks)
     without = read(described([*vehicle, *arm(7)]), base="link0")
     assert len(without.joints) == 7
-    on_a_rail = read(described([joint("rail", "world", "link0", "prismatic"), *arm(7)]))
-    assert not any("counts as axis 1" in remark for remark in on_a_rail.remarks)
+    both = [*vehicle[:1], joint("turn", "on_x", "base", "continuous"), joint("up", "base", "link0", "prismatic", more="")]
+    assert any(remark.startswith("slide, turn, up carry the arm") for remark in read(described([*both, *arm(6)])).remarks)
+    with pytest.raises(ConfigError, match="'up' is prismatic without limits"):
+        read(described([joint("one", "world", "l1"), joint("two", "l1", "base"), *both[2:], *arm(3)]))
 
 
-def test_an_arm_on_a_vehicle_that_slides_and_turns_is_found(read):
-    vehicle = [
-        joint("x", "world", "on_x", "prismatic"),
-        joint("turn", "on_x", "base", "continuous"),
-        joint("lift", "base", "link0", "prismatic"),
+def model_of(found):
+    return RobotSpec.model_validate(yaml.safe_load(found.text)).model()
+
+
+def test_an_arm_on_a_track_has_the_track_as_its_first_axis(read):
+    """The track along x, 3 m long: the flange moves by what the track moves, in mm."""
+    found = read(
+        described([joint("track", "world", "link0", "prismatic", "1 0 0", more=LIMIT.replace("-2", "0").replace('"2"', '"3"', 1)), *arm(6)])
+    )
+    robot = model_of(found)
+    assert robot.axes == ("E1", "A1", "A2", "A3", "A4", "A5", "A6")
+    assert robot.limits[0].tolist() == [0.0, 3000.0]
+    assert robot.speed[0] == 2000.0
+    q = np.zeros((2, 7))
+    q[1, 0] = 1234.5
+    at = robot.chain.flange(q)
+    np.testing.assert_allclose(at[1] - at[0], np.outer([1234.5, 0, 0, 0], [0, 0, 0, 1.0]), atol=1e-9)
+
+
+def test_a_slide_between_turning_axes_is_one_of_them(read):
+    """The arm of Stanford: two turns, a slide, three turns; forwards as each joint by itself."""
+    slide = joint("slide", "link2", "carriage", "prismatic", "0 1 0")
+    behind = [
+        joint(f"wrist{i}", before, f"hand{i}", axis=a)
+        for i, before, a in ((1, "carriage", "0 0 1"), (2, "hand1", "1 0 0"), (3, "hand2", "0 0 1"))
     ]
-    found = read(described([*vehicle, *arm(6)]))
-    assert len(found.joints) == 6
-    assert any(remark.startswith("x, turn, lift carry the arm") for remark in found.remarks)
-    with pytest.raises(ConfigError, match="'lift' is prismatic"):  # as the arm of Stanford: a slide between turning axes is an axis
-        read(described([joint("one", "world", "l1"), joint("two", "l1", "base"), joint("lift", "base", "link0", "prismatic"), *arm(3)]))
+    robot = model_of(read(described([*arm(2), slide, *behind])))
+    assert robot.chain.sliding == (2,)
+    q = np.array([[0.0, np.pi / 2, 500.0, 0, 0, 0]])  # axis 2 turns the slide's y about itself: it moves along y
+    zero = robot.chain.flange(q * [1, 1, 0, 1, 1, 1])[0, :3, 3]
+    np.testing.assert_allclose(robot.chain.flange(q)[0, :3, 3] - zero, [0, 500, 0], atol=1e-9)
+
+
+def test_a_joint_that_copies_another_moves_with_it(read):
+    """A parallelogram: 'level' turns back what 'joint2' turns, and keeps what follows upright at every angle."""
+    level = joint("level", "link2", "wrist", more=f'{LIMIT}<mimic joint="joint2" multiplier="-1" offset="0.25"/>')
+    robot = model_of(read(described([*arm(2), level, joint("turn", "wrist", "flange", axis="0 0 1")])))
+    q = np.zeros((3, 4))
+    q[:, 1] = [-1.0, 0.3, 1.2]
+    at = robot.chain.flange(q)
+    c, s = np.cos(0.25), np.sin(0.25)
+    np.testing.assert_allclose(at[:, :3, :3], np.tile([[c, 0, s], [0, 1, 0], [-s, 0, c]], (3, 1, 1)), atol=1e-12)
+    assert robot.limits[2].tolist() == [0, 0]
+    twists = robot.chain.joint_twists(robot.chain.frames(q))
+    np.testing.assert_allclose(twists[:, 1, 3:], 0, atol=1e-12)
 
 
 def test_of_two_arms_none_is_taken_without_being_asked(read):
@@ -170,10 +205,10 @@ def test_of_two_arms_none_is_taken_without_being_asked(read):
     assert read(both, flange="right_link6").joints[0] == "right_joint1"
 
 
-def test_coupled_joints_are_no_axes(read):
-    """A levelled palletizer, whose wrist joint copies two others, and the side rod of a parallelogram."""
-    level = joint("level", "link3", "wrist", more=f'{LIMIT}<mimic joint="joint2" multiplier="-1"/>')
-    with pytest.raises(ConfigError, match="joint 'level' follows 'joint2' and is no axis of its own"):
+def test_joints_that_follow_what_is_elsewhere_are_no_axes(read):
+    """A wrist joint that copies one outside of the arm, and the side rod of a parallelogram."""
+    level = joint("level", "link3", "wrist", more=f'{LIMIT}<mimic joint="elsewhere"/>')
+    with pytest.raises(ConfigError, match="joint 'level' follows 'elsewhere', which is no axis between base and flange"):
         read(described([*arm(3), level, joint("turn", "wrist", "end")]))
     rod = joint("rod", "link1", "rod", more=f'{LIMIT}<mimic joint="joint2"/>')
     assert read(described([*arm(6), rod])).flange == "link6"
@@ -368,7 +403,9 @@ def test_mjcf_knows_grippers_sites_and_several_arms_as_urdf_does(read):
         read(two, "two.xml")
 
 
-def test_mjcf_joints_that_follow_others_are_no_axes(read):
-    coupled = mjcf("", '<equality><joint joint1="j4" joint2="j2"/></equality>')
-    with pytest.raises(ConfigError, match="joint 'j4' follows 'j2' and is no axis of its own"):
-        read(coupled, "arm.xml")
+def test_mjcf_joints_that_follow_others_move_with_them(read):
+    found = model_of(read(mjcf("", '<equality><joint joint1="j4" joint2="j2" polycoef="0 0.5 0 0 0"/></equality>'), "arm.xml"))
+    assert found.chain.follows == ((3, 1, 0.5),)
+    free = model_of(read(mjcf(""), "free.xml"))
+    q = np.array([[0.1, 0.4, -0.3, 0.0, 0.2]])
+    np.testing.assert_allclose(found.chain.flange(q), free.chain.flange(q + [[0, 0, 0, 0.2, 0]]), atol=1e-9)

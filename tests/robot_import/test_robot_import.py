@@ -153,7 +153,7 @@ def test_a_standard_table_in_yaml(tmp_path):
         (('link="three"/><origin xyz="0.5', 'link="three"/><origin xyz="${l}'), "is it a xacro file"),
         (('xyz="0 0 0.4"', 'xyz="0 0 nan"'), "should be 3 numbers"),
         (("'0.6 0 0.8'", "'0 0 0'"), "axis of length zero"),
-        (('name="b" type="revolute"', 'name="b" type="prismatic"'), "joint 'b' is prismatic"),
+        (('name="b" type="revolute"', 'name="b" type="planar"'), "joint 'b' is planar"),
     ],
 )
 def test_a_damaged_urdf_is_named(tmp_path, change, sentence):

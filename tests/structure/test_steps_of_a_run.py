@@ -50,6 +50,6 @@ def test_the_poses_of_a_plan_fit_eighty_columns(axes, capsys):
         "q_deg": [-174.03] * axes,
         "waypoints": 2,
     }
-    lines = list(_poses({"poses": [pose, pose | {"step": "bar"}]}))
+    lines = list(_poses({"poses": [pose, pose | {"step": "bar"}], "axes": [{"name": f"A{i}"} for i in range(1, axes + 1)]}))
     assert max(map(len, lines)) <= 80
     assert [line for line in lines if line.endswith(":")] == ["orientations:", "bar:"]

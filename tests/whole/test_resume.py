@@ -83,9 +83,9 @@ def equal(run, whole):
 
 
 def test_killed_and_resumed_is_the_same_as_undisturbed(undisturbed, tmp_path):
-    """Killed before the first pose, resumed, killed after two, resumed, killed after four."""
+    """Killed before the first pose, resumed, killed after three."""
     plan, whole = undisturbed
-    run, kills = tmp_path / "run", ((0, 0.0), (2, 0.07), (4, 0.13))
+    run, kills = tmp_path / "run", ((0, 0.0), (3, 0.1))
     for poses, then_s in kills:
         used = killed_after(plan, run, poses, then_s)
     if Path("/dev/shm").is_dir():  # shared memory as files: it does use some, and leaves nothing there

@@ -1,9 +1,9 @@
 """One RSI session: which answer each telegram gets, and what ends the motion. No sockets, no clock of its own.
 
 Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They advance by one set
-point (see set_points) an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. A telegram that was
-kept on its way (see punctuality) is answered without one: no controller takes that answer, and one that hides it in its Delay must not fall
-behind the set points.
+point (see set_points) an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. A late telegram (see
+punctuality) is answered without a set point: no controller takes that answer, and a controller that hides the lateness in its Delay must
+not fall behind the set points.
 
 The first fault is kept. It brakes the arm, then ends the controller's session. The session is ended at once if the arm does not follow its
 commands. Nothing is answered any more if the controller may have begun a new one. docs/explanation/corrections.md has the argument.

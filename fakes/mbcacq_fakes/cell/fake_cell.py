@@ -93,7 +93,7 @@ class FakeCell(Started):
         """Returns when every server listens. Raises ConfigError, ConnectError (an address cannot be taken)."""
         if self._process is not None:
             return self
-        home = tuple(np.radians(self._plan.robot.home_deg))
+        home = tuple(map(float, self._plan.robot.home))
         try:
             with signals_deferred():
                 self._state = ArmState.create(home)

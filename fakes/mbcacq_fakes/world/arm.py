@@ -36,22 +36,27 @@ def paper_errors() -> np.ndarray:
 @dataclass(frozen=True)
 class TrueArm:
     """axis, point: (n, 3) joint lines at q = 0 in the base frame, directed so that a positive controller angle turns about them.
-    zero: (n + 1, 4, 4) frames behind each link at q = 0, base first, flange last.
+    zero: (n + 1, 4, 4) frames behind each link at q = 0, base first, flange last. slides: (n,) bool: the joint moves along its line, mm.
     """
 
     axis: np.ndarray
     point: np.ndarray
     zero: np.ndarray
+    slides: np.ndarray
 
     @classmethod
-    def from_rows(cls, sign: np.ndarray, rows: np.ndarray) -> TrueArm:
-        """From MD-H rows (n, 5) theta, d, a, alpha, beta (rad, mm) and the sign (n,) of the direction in which the controller counts."""
-        zero = [np.eye(4)]
+    def from_rows(cls, sign: np.ndarray, rows: np.ndarray, slides: np.ndarray | None = None, root: np.ndarray | None = None) -> TrueArm:
+        """From MD-H rows (n, 5) theta, d, a, alpha, beta (rad, mm) and the sign (n,) of the direction in which the controller counts.
+
+        slides: (n,) bool; root: (4, 4) where the first joint's line is z.
+        """
+        zero = [np.eye(4) if root is None else root]
         for theta, d, a, alpha, beta in np.asarray(rows, dtype=float):
             about_z = rigid(rotation_about(Z, theta), d * Z)
             zero.append(zero[-1] @ about_z @ rigid(rotation_about(X, alpha), a * X) @ rigid(rotation_about(Y, beta), np.zeros(3)))
         zero = np.array(zero)
-        return cls(np.asarray(sign, dtype=float)[:, None] * zero[:-1, :3, 2], zero[:-1, :3, 3].copy(), zero)
+        still = np.zeros(len(zero) - 1, dtype=bool) if slides is None else slides
+        return cls(np.asarray(sign, dtype=float)[:, None] * zero[:-1, :3, 2], zero[:-1, :3, 3].copy(), zero, still)
 
     @property
     def n(self) -> int:
@@ -65,7 +70,9 @@ class TrueArm:
         out = np.empty((len(q), self.n + 1, 4, 4))
         so_far = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         for i in range(self.n + 1):
-            if i:
+            if i and self.slides[i - 1]:
+                so_far = so_far @ displacement(q[:, i - 1, None] * self.axis[i - 1], np.zeros((len(q), 3)))
+            elif i:
                 so_far = so_far @ screw(self.axis[i - 1], self.point[i - 1], q[:, i - 1])
             if moved is not None and np.any(moved[:, i]):
                 so_far = so_far @ (self.zero[i] @ displacement(moved[:, i, :3], moved[:, i, 3:]) @ invert(self.zero[i]))

@@ -39,7 +39,8 @@ class CellFacts:
     """Nominal arm (sign (n,), rows (n, 5), masses), first guess of the hand-eye transform, artefacts, planned stations.
 
     planned_q: (P, n) rad of the poses to be taken, or none; pace_s: the time from one to the next, roughly. Injected effects
-    choose by them the moment at which they begin and the joint on which they act.
+    choose by them the moment at which they begin and the joint on which they act. slides: (n,) bool, prismatic joints; root: (4, 4) of the
+    first joint in the base, None: they are one.
     """
 
     sign: np.ndarray
@@ -54,6 +55,8 @@ class CellFacts:
     view: ScannerView = ScannerView()
     planned_q: np.ndarray | None = None
     pace_s: float = 3.0
+    slides: np.ndarray | None = None
+    root: np.ndarray | None = None
 
     @property
     def n(self) -> int:
@@ -75,6 +78,8 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
     return CellFacts(
         sign=np.array(chain.sign, dtype=float),
         rows=np.stack([chain.theta, chain.d, chain.a, chain.alpha, chain.beta], axis=1).astype(float),
+        slides=np.array(chain.prismatic),
+        root=chain.root,
         masses=Masses(
             np.array(robot.mass, dtype=float),
             np.array(robot.com, dtype=float),

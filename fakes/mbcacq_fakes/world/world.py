@@ -55,7 +55,7 @@ class World:
     noise_seed: int | None = None
 
     def __post_init__(self) -> None:
-        self.arm = TrueArm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors)
+        self.arm = TrueArm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors, self.facts.slides, self.facts.root)
         positions = np.random.default_rng([self.seed, POSITIONS])
         d = self.deviations
         drawn = self.facts.hand_eye @ _offset(positions, d.hand_eye_mm, d.hand_eye_rad)

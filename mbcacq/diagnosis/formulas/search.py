@@ -178,7 +178,7 @@ class FormulaSearch:
     def run(self, most_terms: int = MOST_TERMS) -> list[Formula]:
         """The most probable formulas, best first, each with the noise that is most probable with it, against none with its own.
 
-        Under a noise that still contains the effect every further term seems to gain: so those of every length are compared.
+        Every further term seems to gain under a noise that still contains the effect, so formulas of every length are compared.
         """
         plain = estimated(self.others, self.point, 0.0)
         each = [(f, estimated(f.hypothesis.members, self.point, f.hypothesis.log_prior)) for f in self.to_first_order(most_terms)]

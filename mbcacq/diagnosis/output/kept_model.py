@@ -20,7 +20,7 @@ from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate, label_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of
-from mbcacq.effects.functions import LEAST_PERIODS, DescribedPart, periods_covered
+from mbcacq.effects.functions import LEAST_PERIODS, OF_MECHANISMS, DescribedPart, periods_covered
 from mbcacq.effects.in_words import effect_in_words
 from mbcacq.effects.learnt_range import learnt_ranges, loads, with_a_range
 from mbcacq.effects.unmodelled import unit_of
@@ -112,12 +112,15 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
     Its covariates are held at the ends of the range in which it was learnt: beyond, it goes on as a constant, whatever its functions do.
     A constant is what the zero of a joint or the place of a frame is as well, so it does not matter where the functions have their zero,
     as it would if they faded. A periodic effect of the catalogue of which a period and more was seen is a law, and has no range. What a
-    load winds up is proportional to it (Hooke), and compliances repeat between recordings where little else does: they go on, uncertain.
+    load winds up is proportional to it (Hooke), and compliances repeat between recordings where little else does: they go on, uncertain. So
+    does the spring of a balancer, by the geometry of its levers.
     """
     parts, k = candidate.parts(hyper), candidate.k
     values = {candidate.hyper.name: float(hyper)} if candidate.hyper is not None and hyper is not None else {}
     key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
-    laws = loads({name for part in parts for name in part.covariates}) if candidate.name != UNKNOWN else ()
+    functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
+    mechanism = {f.covariate for f in functions if f.kind in OF_MECHANISMS}
+    laws = (*loads({f.covariate for f in functions}), *sorted(mechanism)) if candidate.name != UNKNOWN else ()
     return EffectTerm(
         name=candidate.name,
         where=candidate.where,

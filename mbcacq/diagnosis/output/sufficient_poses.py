@@ -92,7 +92,7 @@ def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, state
 
 
 def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:
-    """The value of the hyper-parameter at which the effect is determined as at the median of those that are tried."""
+    """The value of the hyper-parameter whose information on the effect is the median of the values tried."""
     hyper = candidate.hyper
     if hyper is None:
         return None

@@ -187,7 +187,8 @@ def how_sure(d: Diagnosis) -> str:
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
     if strongest is None:
-        return f"{p_value(first.p_value)} for {located(first)}; no other explanation comes near it"
+        alone = "" if first.name == UNKNOWN else "; no other explanation comes near it"  # what is unmodelled may be elsewhere too
+        return f"{p_value(first.p_value)} for {located(first)}{alone}"
     other = f"{effect_in_words(strongest.name)} at {', '.join(strongest.where)}"
     return f"the next explanation in place of {located(first)} is {other} ({likelihood(strongest)})"
 

@@ -6,7 +6,7 @@ problem is conditioned on were refitted together with the candidate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -88,25 +88,6 @@ class BatchScoring:
     fixed: FixedBlocks
     X: np.ndarray
     blocks: list[tuple[np.ndarray, np.ndarray]]
-
-    @classmethod
-    def of(
-        cls,
-        candidates: list[Candidate],
-        linear: LinearProblem,
-        whiten: CentreWhitening,
-        absorbed_of: Callable[[np.ndarray], np.ndarray],
-        r: np.ndarray,
-    ) -> BatchScoring:
-        """absorbed_of: products (z, k) of whitened columns with the basis of what geometry absorbs; r (rows,): residual beyond it."""
-        fixed = FixedBlocks.of(candidates, linear)
-        X = whiten(fixed.columns)
-        absorbed, b = absorbed_of(X), X.T @ r
-        blocks = []
-        for _, columns in fixed.sizes:
-            own, gone = X.T[columns], absorbed.T[columns]
-            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
-        return cls(fixed, X, blocks)
 
 
 UnitKey = tuple[str, int, int]  # location, index, component
@@ -227,8 +208,16 @@ class CandidateScoring:
 
     def batch(self, candidates: list[Candidate]) -> BatchScoring:
         """The candidates that need no scan, with geometry alone projected out."""
-        blocks = partial(BatchScoring.of, candidates, self.linear, self.whiten, self.absorbed, self.beyond_geometry())
-        return self.known(("batch", candidate_keys(candidates)), blocks)
+        return self.known(("batch", candidate_keys(candidates)), lambda: self._batch(FixedBlocks.of(candidates, self.linear)))
+
+    def _batch(self, fixed: FixedBlocks) -> BatchScoring:
+        X = self.whiten(fixed.columns)
+        absorbed, b = self.absorbed(X), X.T @ self.beyond_geometry()
+        blocks = []
+        for _, columns in fixed.sizes:
+            own, gone = X.T[columns], absorbed.T[columns]
+            blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
+        return BatchScoring(fixed, X, blocks)
 
     # Scans --------------------------------------------------------------------------------------------------------
 

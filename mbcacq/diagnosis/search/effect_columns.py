@@ -6,7 +6,6 @@ A scan over many values of a hyper-parameter needs its functions only by their s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -27,39 +26,25 @@ OVERSAMPLING = 2.0  # nodes of a grid for each that its highest order needs
 SHAPE = 0.98 * np.pi * TAPS * (1 - 1 / (2 * OVERSAMPLING))
 
 
-class ScannedFunctions(Protocol):
-    """f functions of the poses at each of H values of a hyper-parameter."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """H and f."""
-        ...
-
-    def sums(self, by_pose: np.ndarray) -> np.ndarray:
-        """(H, f, a): sums over poses of each function times by_pose (P, a)."""
-        ...
-
-    def sums_of_products(self, by_pose: np.ndarray) -> np.ndarray:
-        """(H, f, f, a): sums over poses of the product of two functions times by_pose (P, a)."""
-        ...
-
-
 class PoseFunctions:
-    """Functions by their values (H, P, f), the rows of one function together in memory."""
+    """Functions by their values (H, P, f) at H values of a hyper-parameter, the rows of one function together in memory."""
 
     def __init__(self, values: np.ndarray):
         self._by_function = np.ascontiguousarray(np.swapaxes(values, 1, 2))
 
     @property
     def size(self) -> tuple[int, int]:
+        """H and f."""
         H, f, _ = self._by_function.shape
         return H, f
 
     def sums(self, by_pose: np.ndarray) -> np.ndarray:
+        """(H, f, a): sums over poses of each function times by_pose (P, a)."""
         H, f, P = self._by_function.shape
         return (self._by_function.reshape(H * f, P) @ by_pose).reshape(H, f, -1)
 
     def sums_of_products(self, by_pose: np.ndarray) -> np.ndarray:
+        """(H, f, f, a): sums over poses of the product of two functions times by_pose (P, a)."""
         H, f, _ = self._by_function.shape
         out = np.empty((H, f, f, by_pose.shape[1]))
         for i in range(f):
@@ -94,7 +79,7 @@ class AngleNodes:
 
 
 class Harmonics:
-    """The sine and the cosine of orders (H,), in ascending order, times an angle x (P,)."""
+    """The sine and the cosine of orders (H,), in ascending order, times an angle x (P,); to be asked as ``PoseFunctions`` are."""
 
     def __init__(self, x: np.ndarray, orders: np.ndarray):
         self._x, self._orders = x, orders
@@ -122,6 +107,9 @@ class Harmonics:
             some[:, 0, 1] = some[:, 1, 0] = gain * (sine @ weights)
             some[:, 0, 0], some[:, 1, 1] = 0.5 * total - along, 0.5 * total + along
         return out
+
+
+ScannedFunctions = PoseFunctions | Harmonics
 
 
 def spread(position: np.ndarray, count: int) -> csr_array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ ROWS = TableSchema(
         Column("lower", "rad", written="deg", required=False),
         Column("upper", "rad", written="deg", required=False),
         Column("speed", "rad/s", written="deg/s", required=False),
+        *(Column(f"{end}_of_slide", "mm", required=False, aliases=(end,)) for end in ("lower", "upper")),
+        Column("speed_of_slide", "mm/s", required=False, aliases=("speed",)),
         Column("mass", "kg", required=False),
         *(Column(f"com_{axis}", "mm", required=False) for axis in "xyz"),
         Column("joint", kind="text", required=False),
@@ -41,23 +44,30 @@ ROWS = TableSchema(
 SHORTEST_ARM_MM, LONGEST_ARM_MM = 20.0, 50e3
 REACHED = 200  # postures in which the reach is seen
 REVOLUTE = ("r", "rev", "revolute", "rotational", "rotary", "0", "0.0")  # sigma of Corke's toolbox is 0, and 1 of a slide
+PRISMATIC = ("p", "prismatic", "sliding", "slide", "linear", "1", "1.0")
 
 
 def read_dh_table(path: Path, convention: str) -> ArmSource:
-    """convention: 'standard', each row Rz(theta + q) Tz(d) Tx(a) Rx(alpha); or 'modified' (Craig), Rx(alpha) Tx(a) Rz(theta + q) Tz(d).
+    """convention: 'standard', each row Rz(theta + q) Tz(d) Tx(a) Rx(alpha); or 'modified' (Craig), Rx(alpha) Tx(a) Rz(theta + q) Tz(d). A
+    prismatic row has q added to d.
 
     Raises ConfigError for a table that lacks a column or a number.
     """
     table = _table(path)
-    _refuse_prismatic(table)
+    slides = _prismatic(table)
     theta, d, a, alpha = table.numbers(("theta", "d", "a", "alpha")).T
     _refuse_other_units(table, _reach(convention, theta, d, a, alpha))
 
     def forward(q: np.ndarray) -> np.ndarray:
-        return _frames(convention, theta, d, a, alpha, q)[1]
+        return _frames(convention, theta, d, a, alpha, q, slides)[1]
 
     axes, flange = _frames(convention, theta, d, a, alpha, np.zeros((1, len(table))))
     lower, upper, speed, mass = (_optional(table, name) for name in ("lower", "upper", "speed", "mass"))
+    for quantity, column in ((lower, "lower"), (upper, "upper"), (speed, "speed")):
+        quantity[slides] = _optional(table, f"{column}_of_slide")[slides]
+    if (silent := slides & np.isnan(lower + upper)).any():
+        row = int(np.argmax(silent))
+        raise ConfigError(f"{table.path}: row {row + 1} slides and has no lower_mm and upper_mm; give both")
     com = np.nan_to_num(np.stack([_optional(table, f"com_{c}") for c in "xyz"], axis=1))
     names = table.text("joint") if table.has("joint") else ("",) * len(table)
     behind = _links(convention, axes[0], flange[0])
@@ -77,16 +87,27 @@ def read_dh_table(path: Path, convention: str) -> ArmSource:
         com=se3.apply(behind, com),
         forward=forward,
         remarks=remarks,
+        sliding=tuple(np.flatnonzero(slides).tolist()),
     )
 
 
-def _frames(convention: str, theta: np.ndarray, d: np.ndarray, a: np.ndarray, alpha: np.ndarray, q: np.ndarray) -> tuple[Any, Any]:
-    """Frames (P, n, 4, 4) whose z are the joint axes, and the flange (P, 4, 4)."""
+def _frames(
+    convention: str,
+    theta: np.ndarray,
+    d: np.ndarray,
+    a: np.ndarray,
+    alpha: np.ndarray,
+    q: np.ndarray,
+    slides: np.ndarray | Sequence[bool] = (),
+) -> tuple[Any, Any]:
+    """Frames (P, n, 4, 4) whose z are the joint axes, and the flange (P, 4, 4). slides: (n,) bool, rows of which q is added to d."""
     T, axes = np.broadcast_to(np.eye(4), (len(q), 4, 4)), []
+    along = np.broadcast_to(slides if len(slides) else False, q.shape)
+    angle, shift = theta + np.where(along, 0.0, q), d + np.where(along, q, 0.0)
     for i in range(len(theta)):
-        turn = np.zeros((len(q), 3))
-        turn[:, 2] = theta[i] + q[:, i]
-        about_z = se3.transform(se3.rotation_exp(turn), np.array([0.0, 0.0, d[i]]))
+        turn, lift = np.zeros((len(q), 3)), np.zeros((len(q), 3))
+        turn[:, 2], lift[:, 2] = angle[:, i], shift[:, i]
+        about_z = se3.transform(se3.rotation_exp(turn), lift)
         about_x = se3.transform(se3.rotation_exp(np.array([alpha[i], 0.0, 0.0])), np.array([a[i], 0.0, 0.0]))
         T = T if convention == "standard" else T @ about_x
         axes.append(T)
@@ -129,11 +150,13 @@ def _optional(table: Table, name: str) -> np.ndarray:
     return table.number(name, empty=np.nan) if table.has(name) else np.full(len(table), np.nan)
 
 
-def _refuse_prismatic(table: Table) -> None:
-    kinds = table.text("type") if table.has("type") else ()
+def _prismatic(table: Table) -> np.ndarray:
+    """(n,) bool: rows whose joint slides."""
+    kinds = [kind.strip().lower() for kind in table.text("type")] if table.has("type") else [""] * len(table)
     for i, kind in enumerate(kinds):
-        if kind.strip() and kind.strip().lower() not in REVOLUTE:
-            raise ConfigError(f"{table.where(i, 'type')}: row {i + 1} is of type '{kind.strip()}'; an arm of revolute joints is needed")
+        if kind and kind not in (*REVOLUTE, *PRISMATIC):
+            raise ConfigError(f"{table.where(i, 'type')}: row {i + 1} is of type '{kind}'; give revolute or prismatic")
+    return np.isin(kinds, PRISMATIC)
 
 
 def _reach(convention: str, theta: np.ndarray, d: np.ndarray, a: np.ndarray, alpha: np.ndarray) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +17,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
 from mbcacq.model import yaml12
 from mbcacq.model.bounds import BOUNDS
-from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.model.cell_schema import RobotSpec, joint_key
 from mbcacq.model.robot_import.dh_table import read_dh_table, yaml_content
 from mbcacq.model.robot_import.mjcf import read_mjcf
 from mbcacq.model.robot_import.source import ArmSource
@@ -72,11 +72,12 @@ def import_robot(
     with np.errstate(over="ignore", invalid="ignore"):  # numbers without bound are refused by the next line
         source = _read(path, base, flange, convention, packages, arguments)
     _refuse_endless(path, source)
-    rows = chain_from_axes(source.direction, source.point, source.T_base_flange)
+    rows = chain_from_axes(source.direction, source.point, source.T_base_flange, source.sliding)
+    rows = replace(rows, chain=replace(rows.chain, follows=source.follows))
     remarks = [*source.remarks, *_frame_remarks(rows)]
     speed = source.speed
     if np.isnan(speed).any() and speed_deg_s is not None:
-        speed = np.where(np.isnan(speed), from_degrees(speed_deg_s), speed)
+        speed = np.where(np.isnan(speed) & ~rows.chain.prismatic, from_degrees(speed_deg_s), speed)
         remarks = [r for r in remarks if "--speed" not in r]
     if (silent := np.isnan(speed) | (speed <= 0)).any() and not any("speed" in r for r in remarks):
         remarks.append(
@@ -137,7 +138,7 @@ def _refuse_endless(path: Path, source: ArmSource) -> None:
     """Raises ConfigError for an arm with a length, mass or joint limit that no arm has, or one that is no number. A limit that is not
     stated is NaN."""
     for number, limits in enumerate(in_degrees(source.limits)):
-        if (np.abs(limits) > BOUNDS["joint_angle"].high).any():
+        if number not in source.sliding and (np.abs(limits) > BOUNDS["joint_angle"].high).any():
             said = f"joint '{source.joints[number] or number + 1}' has the limits {limits[0]:g} to {limits[1]:g}°"
             raise ConfigError(f"{path}: {said}; give both as angles, or none where the joint turns without end")
     sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
@@ -186,22 +187,47 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
     down = rows.T_given_base[:3, :3].T @ np.array([0.0, 0.0, -1.0])
     if np.abs(down - [0, 0, -1]).max() > 1e-9:
         lines.append(f"base_to_gravity: [{', '.join(_short(v) for v in down)}]")
+    if chain.root is not None:
+        rotation = ", ".join(f"[{', '.join(_short(v, 15) for v in row)}]" for row in chain.root[:3, :3])
+        place = ", ".join(_short(v) for v in chain.root[:3, 3])
+        lines.append(f"base_to_first_axis: {{rotation: [{rotation}], translation_mm: [{place}]}}")
     lines.append("links:")
+    names, slides = _names(source), chain.prismatic
+    followed = {joint: (leader, ratio) for joint, leader, ratio in chain.follows}
     for i in range(chain.n):
+        kind = "prismatic" if slides[i] else "revolute"
+        content = [f"name: {names[i]}"] if names else []
+        content += ["type: prismatic"] if slides[i] else []
+        if i in followed:
+            leader, ratio = followed[i]
+            unit = 1.0 if slides[i] == slides[leader] else (in_degrees(1.0) if slides[leader] else from_degrees(1.0))
+            content.append(f"follows: {{link: {leader + 1}, ratio: {_short(ratio * unit)}}}")
+        shown = (lambda values: values) if slides[i] else in_degrees
         row = {"theta_deg": in_degrees(chain.theta[i]), "d_mm": chain.d[i], "a_mm": chain.a[i], "alpha_deg": in_degrees(chain.alpha[i])}
         if abs(chain.beta[i]) > 1e-11:
             row["beta_deg"] = in_degrees(chain.beta[i])
-        content = [f"{key}: {_short(value)}" for key, value in row.items()]
+        content += [f"{key}: {_short(value)}" for key, value in row.items()]
         if not np.isnan(source.limits[i]).any():
-            content.append(f"limits_deg: [{', '.join(_short(v, 6) for v in in_degrees(source.limits[i]))}]")
+            content.append(f"{joint_key('limits', kind)}: [{', '.join(_short(v, 6) for v in shown(source.limits[i]))}]")
         if np.isfinite(speed[i]) and speed[i] > 0:
-            content.append(f"speed_deg_s: {_short(in_degrees(speed[i]), 6)}")
+            content.append(f"{joint_key('speed', kind)}: {_short(shown(speed[i]), 6)}")
         line = "  - {" + ", ".join(content)
         if source.mass[i] > 0:
             lines.append(line + ",")
             line = f"     mass_kg: {_short(source.mass[i], 6)}, com_mm: [{', '.join(_short(v, 3) for v in com[i])}]"
         lines.append(line + "}")
     return "\n".join(lines) + "\n"
+
+
+ARM_ON_AXES = 5  # turning axes behind the slides of an arm that is carried; fewer are the wrist of a gantry
+
+
+def _names(source: ArmSource) -> list[str]:
+    """E1 .. for the slides below an arm, A1 .. for its own axes; none where no slide carries an arm."""
+    n = len(source.joints)
+    below = next((i for i in range(n) if i not in source.sliding), n)
+    own = n - below
+    return [*(f"E{i + 1}" for i in range(below)), *(f"A{i + 1}" for i in range(own))] if below and own >= ARM_ON_AXES else []
 
 
 def _comment(sentence: str) -> str:
@@ -224,6 +250,7 @@ def _compared(path: Path, text: str, rows: ChainInFrames, source: ArmSource) -> 
         what, value = name_of(first["loc"]), first["input"]
         raise ConfigError(f"{path}: makes a robot whose {what} is {value}: {first['msg'].lower()}; correct the file") from None
     limits = np.nan_to_num(source.limits, nan=np.pi)
+    limits[[joint for joint, _, _ in source.follows]] = 0.0
     q = np.random.default_rng(0).uniform(np.minimum(*limits.T), np.maximum(*limits.T), (POSTURES, model.n))
     made, given = rows.T_given_base @ model.chain.flange(q) @ rows.T_flange_given, source.forward(q)
     miss_mm = float(np.abs(made[:, :3, 3] - given[:, :3, 3]).max())

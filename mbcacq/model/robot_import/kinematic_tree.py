@@ -39,9 +39,11 @@ class TreeJoint:
     kind : str
         'revolute', 'continuous', 'prismatic', 'fixed' or what the format calls another.
     lower, upper : float
-        rad, nan where unknown.
+        rad, mm of a prismatic joint, nan where unknown.
     follows : str
         Name of the joint whose motion this one copies, '' for a free one.
+    ratio : float
+        Its motion over that of the other, in rad and mm.
     bare : bool
         Whether its child is a frame without any shape.
     """
@@ -53,7 +55,13 @@ class TreeJoint:
     lower: float = np.nan
     upper: float = np.nan
     follows: str = ""
+    ratio: float = 1.0
     bare: bool = False
+
+    @property
+    def is_axis(self) -> bool:
+        """Whether it turns, or slides between two ends; a slide without ends is a vehicle's."""
+        return self.kind in TURNING or (self.kind == "prismatic" and self.lower < self.upper)
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,22 @@ class Arm:
     base: str
     flange: str
     remarks: tuple[str, ...]
+
+    @property
+    def axes(self) -> list[TreeJoint]:
+        """Those that turn or slide."""
+        return [j for j in self.joints if j.is_axis]
+
+    @property
+    def sliding(self) -> tuple[int, ...]:
+        """Numbers of the axes that slide."""
+        return tuple(i for i, j in enumerate(self.axes) if j.kind not in TURNING)
+
+    @property
+    def follows(self) -> tuple[tuple[int, int, float], ...]:
+        """Number, leader and ratio of the axes that others move."""
+        names = [j.name for j in self.axes]
+        return tuple((i, names.index(j.follows), j.ratio) for i, j in enumerate(self.axes) if j.follows)
 
 
 class KinematicTree:
@@ -106,7 +130,7 @@ class KinematicTree:
     def arm(self, base: str | None, flange: str | None) -> Arm:
         """The arm between two links; the one that is there where they are not named.
 
-        Raises ConfigError where there is none, where several could be meant, and where a joint of it is no free revolute one.
+        Raises ConfigError where there is none, where several could be meant, and where a joint of it neither turns nor slides.
         """
         for link, role in ((base, "base"), (flange, "flange")):
             if link is not None and link not in self.links:
@@ -126,25 +150,27 @@ class KinematicTree:
 
     def _check(self, joints: Sequence[TreeJoint], tip: str) -> None:
         for joint in joints:
-            if joint.kind not in (*TURNING, "fixed"):
+            if not joint.is_axis and joint.kind != "fixed":
+                without = " without limits" if joint.kind == "prismatic" else ""
                 raise ConfigError(
-                    f"{self.path}: joint '{joint.name}' is {joint.kind}; an arm of revolute joints is needed, name its --base and --flange"
+                    f"{self.path}: joint '{joint.name}' is {joint.kind}{without}; an arm of joints that turn, or slide between limits, is "
+                    "needed, name its --base and --flange"
                 )
-            if joint.follows and joint.kind != "fixed":
+            if joint.follows and joint.is_axis and not any(j.name == joint.follows and not j.follows for j in joints if j.is_axis):
                 raise ConfigError(
-                    f"{self.path}: joint '{joint.name}' follows '{joint.follows}' and is no axis of its own; arms with coupled joints "
-                    "cannot be described by rows of one angle each, name a --base and --flange between which all joints are free"
+                    f"{self.path}: joint '{joint.name}' follows '{joint.follows}', which is no axis between base and flange; name a --base "
+                    "and --flange between which all joints are free, or follow one of them"
                 )
-        if sum(joint.kind in TURNING for joint in joints) < 2:
+        if sum(joint.is_axis for joint in joints) < 2:
             raise ConfigError(f"{self.path}: fewer than two moving joints lead to link '{tip}'; name the arm's last link with --flange")
 
     def _without_what_carries_it(self, joints: list[TreeJoint], remarks: list[str]) -> list[TreeJoint]:
-        """Without the joints that hold the arm in the world, and without a rail, a lift or a vehicle below it."""
-        first = next((i for i, joint in enumerate(joints) if joint.kind in TURNING), len(joints))
-        carrying = [i for i, joint in enumerate(joints) if joint.kind not in (*TURNING, "fixed")]
+        """Without the joints that hold the arm in the world, and without a vehicle below it."""
+        first = next((i for i, joint in enumerate(joints) if joint.is_axis), len(joints))
+        carrying = [i for i, joint in enumerate(joints) if not joint.is_axis and joint.kind != "fixed"]
         last = max((i for i in carrying), default=-1)
-        axes = sum(joint.kind in TURNING for joint in joints[last + 1 :])
-        before = [j for j in joints[: last + 1] if j.kind in TURNING and not _wheel(j)]
+        axes = sum(joint.is_axis for joint in joints[last + 1 :])
+        before = [j for j in joints[: last + 1] if j.is_axis and not _wheel(j)]
         is_vehicle = len(before) <= TURNS_OF_A_VEHICLE and axes >= ARM_ON_A_VEHICLE
         if carrying and ((not before and axes >= ARM_BEFORE_FINGERS) or is_vehicle):
             named = [j.name for i, j in enumerate(joints[: last + 1]) if i in carrying or j in before]
@@ -154,7 +180,7 @@ class KinematicTree:
                 else "carry the arm and are none of its axes; they stand"
             )
             remarks.append(f"{_list(named)} {what} as at zero")
-            first = next(i for i in range(last + 1, len(joints)) if joints[i].kind in TURNING)
+            first = next(i for i in range(last + 1, len(joints)) if joints[i].is_axis)
             turn = joints[first]
             if axes > ARM_BEHIND_A_TURN or (axes == ARM_BEHIND_A_TURN and turn.kind == "continuous"):
                 out = f"leave it out with --base {turn.child}"

@@ -1,4 +1,4 @@
-"""An arm of an MJCF file, as MuJoCo compiles it: the hinges from a base body to a flange body or site."""
+"""An arm of an MJCF file, as MuJoCo compiles it: hinges and slides from a base body to a flange body or site."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
-from mbcacq.model.robot_import.kinematic_tree import TURNING, KinematicTree, TreeJoint
+from mbcacq.model.robot_import.kinematic_tree import KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
 
 PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
@@ -57,15 +57,20 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
             bodies, sites = ", ".join(names.bodies), ", ".join(names.sites)
             raise ConfigError(f"{path}: has no body or site '{name}'; its bodies are {bodies}; its sites {sites or 'none'}")
     arm = _tree(path, compiled, names).arm(base, flange)
-    hinges = [names.joints[j.name] for j in arm.joints if j.kind in TURNING]
-    chain = [j.name for j in arm.joints if j.kind in TURNING]
+    chain = [j.name for j in arm.axes]
+    hinges = [names.joints[name] for name in chain]
+    unit = np.ones(len(hinges))
+    unit[list(arm.sliding)] = 1e3  # MuJoCo's slides are in m
     data: Any = mujoco.MjData(model)
     address = [model.jnt_qposadr[j] for j in hinges]
     resting = np.array(data.qpos)
+    constant = {joint: _coupling(mujoco, model, hinges[joint])[0] for joint, _, _ in arm.follows}
 
     def place(angles: np.ndarray) -> np.ndarray:
         data.qpos[:] = resting
-        data.qpos[address] = angles
+        data.qpos[address] = angles / unit
+        for joint, leader, ratio in arm.follows:
+            data.qpos[address[joint]] += constant[joint] + ratio * angles[leader] / unit[joint]
         mujoco.mj_kinematics(model, data)
         return names.frame(data, arm.base)
 
@@ -94,12 +99,14 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
         direction=np.array(data.xaxis[hinges]) @ back[:3, :3].T,
         point=se3.apply(back, 1e3 * np.array(data.xanchor[hinges])),
         T_base_flange=back @ names.frame(data, arm.flange),
-        limits=np.where(limited[:, None], model.jnt_range[hinges], [[-2 * np.pi, 2 * np.pi]]),
+        limits=np.where(limited[:, None], model.jnt_range[hinges] * unit[:, None], [[-2 * np.pi, 2 * np.pi]]),
         speed=np.full(len(hinges), np.nan),
         mass=mass,
         com=com,
         forward=forward,
         remarks=remarks,
+        sliding=arm.sliding,
+        follows=arm.follows,
     )
 
 
@@ -200,8 +207,10 @@ def _tree(path: Path, compiled: _Model, names: _Names) -> KinematicTree:
                 # Several joints of a body turn about one another: frames without a name of their own stand between them.
                 child = names.bodies[body] if joint == own[-1] else f"{names.bodies[body]} before joint {number + 2}"
                 names.frames.setdefault(child, ("body", int(model.body_parentid[body])))  # whose frame it has while they rest
-                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
+                unit = 1e3 if kind(joint) == "prismatic" else 1.0
+                low, high = unit * model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
                 leader = follows.get(joint)
+                of_leader = 1e-3 if leader is not None and kind(leader) == "prismatic" else 1.0
                 yield TreeJoint(
                     name=names.label(joint),
                     kind=kind(joint),
@@ -210,6 +219,7 @@ def _tree(path: Path, compiled: _Model, names: _Names) -> KinematicTree:
                     lower=float(low),
                     upper=float(high),
                     follows="" if leader is None else names.label(leader),
+                    ratio=1.0 if leader is None else unit * of_leader * _coupling(mujoco, model, joint)[1],
                     bare=bare,
                 )
                 parent = child
@@ -225,6 +235,12 @@ def _followed(mujoco: Any, model: Any) -> dict[int, int]:
     """The joint that each coupled joint follows."""
     couplings = [e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0]
     return {int(model.eq_obj1id[e]): int(model.eq_obj2id[e]) for e in couplings}
+
+
+def _coupling(mujoco: Any, model: Any, joint: int) -> tuple[float, float]:
+    """Constant and slope of the polynomial by which a coupled joint follows another; higher powers raise ConfigError where they matter."""
+    one = next(e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[e] == joint)
+    return float(model.eq_data[one, 0]), float(model.eq_data[one, 1])
 
 
 def is_gear_spring(mujoco: Any, model: Any, joint: int) -> bool:

@@ -10,9 +10,10 @@ import numpy as np
 
 @dataclass
 class ArmSource:
-    """Everything at joint angles of zero, in the base frame that was named; lengths in mm, angles in rad, masses in kg.
+    """Everything at joint positions of zero, in the base frame that was named; lengths in mm, angles in rad, masses in kg.
 
-    joints: names, base first. direction, point: (n, 3) of each joint's axis. T_base_flange: (4, 4). limits: (n, 2), nan where the source
+    joints: names, base first; sliding: numbers of the prismatic ones; follows: number, leader and ratio of those that others move.
+    direction, point: (n, 3) of each joint's axis. T_base_flange: (4, 4). limits: (n, 2), nan where the source
     has none. speed: (n,) rad/s, nan likewise. mass (n,), com (n, 3): of what moves with each joint. forward: T_base_flange (P, 4, 4) of
     joint angles q (P, n) by the source's own reckoning, to compare with. remarks: sentences for the one who imports.
     """
@@ -31,3 +32,5 @@ class ArmSource:
     forward: Callable[[np.ndarray], np.ndarray]
     remarks: list[str] = field(default_factory=list)
     acceleration: np.ndarray | None = None
+    sliding: tuple[int, ...] = ()
+    follows: tuple[tuple[int, int, float], ...] = ()

@@ -1,4 +1,4 @@
-"""An arm of a URDF or xacro file: the revolute joints from a base link to a flange link."""
+"""An arm of a URDF or xacro file: the joints from a base link to a flange link."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
-from mbcacq.model.robot_import.kinematic_tree import TURNING, KinematicTree, TreeJoint
+from mbcacq.model.robot_import.kinematic_tree import TURNING, Arm, KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
 from mbcacq.model.robot_import.xacro_file import BEFORE_2014, STATEMENTS, expanded, macros
 from mbcacq.model.xml_file import XmlFile
@@ -24,24 +24,26 @@ LONGEST_ARM_MM, SHORTEST_ARM_MM = 50e3, 20.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint(TreeJoint):
-    """origin: (4, 4) mm in the parent link; axis: (3,) unit; lower, upper, velocity: nan where absent; follows: joint of a <mimic>."""
+    """origin: (4, 4) mm in the parent link; axis: (3,) unit; lower, upper, velocity: nan where absent; follows: joint of a <mimic>; offset:
+    its position where that of the other is zero."""
 
     origin: np.ndarray
     axis: np.ndarray
     velocity: float
+    offset: float
 
 
 def read_urdf(
     path: Path, base: str | None, flange: str | None, packages: Mapping[str, Path] | None = None, arguments: Mapping[str, str] | None = None
 ) -> ArmSource:
-    """Raises ConfigError for a file that describes no serial arm of revolute joints between the two links."""
+    """Raises ConfigError for a file that describes no serial arm between the two links."""
     root = _root(path, packages or {}, arguments or {})
     found = [j for j in (_joint(e, path) for e in root.findall("joint")) if j is not None]
     tree, joints = _tree(path, root, found), {j.child: j for j in found}
     arm = tree.arm(base, flange)
     chain = [joints[j.child] for j in arm.joints]
-    moving = [j for j in chain if j.kind in TURNING]
-    frames = _frames(chain, np.zeros((1, len(moving))))
+    moving = [j for j in chain if j.is_axis]
+    frames = _frames(arm, chain, np.zeros((1, len(moving))))
     at_joint = [frames[j.name][0] for j in moving]
     mass, com = _masses(path, root, joints, chain, frames)
     limits, about_limits = _limits(moving)
@@ -59,8 +61,10 @@ def read_urdf(
         speed=speed,
         mass=mass,
         com=com,
-        forward=lambda q: _frames(chain, q)[chain[-1].name],
+        forward=lambda q: _frames(arm, chain, q)[chain[-1].name],
         remarks=remarks,
+        sliding=arm.sliding,
+        follows=arm.follows,
     )
 
 
@@ -109,11 +113,11 @@ def _joint(element: Element, path: Path) -> Joint | None:
         return None  # of a transmission
     name, kind = str(element.get("name")), str(element.get("type"))
     origin, axis, limit = element.find("origin"), element.find("axis"), element.find("limit")
-    mimic = element.find("mimic")
+    mimic, unit = element.find("mimic"), 1e3 if kind == "prismatic" else 1.0
 
-    def number(key: str) -> float:
-        value = None if limit is None else limit.get(key)
-        return np.nan if value is None else _numbers(value, 1, path, name)[0]
+    def number(key: str, of: Element | None = limit, silent: float = np.nan) -> float:
+        value = None if of is None else of.get(key)
+        return silent if value is None else _numbers(value, 1, path, name)[0]
 
     xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3, path, name)
     roll, pitch, yaw = _numbers("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3, path, name)
@@ -130,10 +134,12 @@ def _joint(element: Element, path: Path) -> Joint | None:
         child=str(child.get("link")),
         origin=se3.from_abc(1e3 * xyz, np.array([yaw, pitch, roll])),
         axis=direction / length,
-        lower=number("lower"),
-        upper=number("upper"),
-        velocity=number("velocity"),
+        lower=unit * number("lower"),
+        upper=unit * number("upper"),
+        velocity=unit * number("velocity"),
         follows="" if mimic is None else str(mimic.get("joint")),
+        ratio=number("multiplier", mimic, 1.0),
+        offset=unit * number("offset", mimic, 0.0),
     )
 
 
@@ -148,10 +154,13 @@ def _numbers(text: str, count: int, path: Path, name: str) -> np.ndarray:
 
 
 def _limits(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
-    """(n, 2) rad, nan where the file's cannot be meant, and sentences about those."""
+    """(n, 2) rad, mm, nan where the file's cannot be meant, and sentences about those."""
     out, remarks = [], []
     for j in moving:
         low, high = j.lower, j.upper
+        if j.kind not in TURNING:
+            out.append((low, high))
+            continue
         said = f"'{j.name}' has limits {low:g} {high:g}"
         if j.kind == "continuous" or min(abs(low), abs(high)) > WITHOUT_LIMITS:
             remarks.append(f"{j.name} turns without limits in the file; -360..360° is taken")
@@ -170,9 +179,9 @@ def _limits(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
 
 
 def _speed(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
-    """(n,) rad/s, nan where the file's cannot be meant, and sentences about those."""
+    """(n,) rad/s, mm/s, nan where the file's cannot be meant, and sentences about those."""
     speed = np.array([j.velocity for j in moving])
-    fast = np.flatnonzero(speed > FASTEST).tolist()
+    fast = np.flatnonzero((speed > FASTEST) & [j.kind in TURNING for j in moving]).tolist()
     remarks = [
         f"'{moving[i].name}' has a speed of {speed[i]:g} rad/s, more than any axis turns; none is taken (--speed gives one for all)"
         for i in fast
@@ -190,13 +199,17 @@ def _sizes(path: Path, chain: Sequence[Joint]) -> list[str]:
     return []
 
 
-def _frames(chain: list[Joint], q: np.ndarray) -> dict[str, np.ndarray]:
-    """Per joint the frame (P, 4, 4) of its child link in the base, q (P, n) rad."""
+def _frames(arm: Arm, chain: list[Joint], q: np.ndarray) -> dict[str, np.ndarray]:
+    """Per joint the frame (P, 4, 4) of its child link in the base, q (P, n) rad, mm."""
     T, out, number = np.broadcast_to(np.eye(4), (len(q), 4, 4)), {}, 0
+    leader = {follower: (of, ratio) for follower, of, ratio in arm.follows}
     for joint in chain:
         T = T @ joint.origin
-        if joint.kind in TURNING:
-            T = T @ se3.transform(se3.rotation_exp(q[:, number, None] * joint.axis), np.zeros(3))
+        if joint.is_axis:
+            of, ratio = leader.get(number, (number, 0.0))
+            along = (joint.offset + q[:, number] + ratio * q[:, of])[:, None] * joint.axis
+            turns = joint.kind in TURNING
+            T = T @ (se3.transform(se3.rotation_exp(along), np.zeros(3)) if turns else se3.transform(np.eye(3), along))
             number += 1
         out[joint.name] = T
     return out
@@ -212,7 +225,7 @@ def _masses(
         below.setdefault(joint.parent, []).append(joint)
     mass, com = [], []
     for joint in chain:
-        if joint.kind not in TURNING:
+        if not joint.is_axis:
             continue
         parts, stack = [], [(joint.child, frames[joint.name][0])]
         while stack:

@@ -8,7 +8,9 @@ import numpy as np
 
 from mbcacq.files import angles
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.cell_schema import QUANTITIES, joint_key
 from mbcacq.model.yaml12 import Flow, FlowList, dump
+from mbcacq.quantities import from_degrees, in_degrees
 
 FORMAT = "mbcacq-observation-set/1"
 
@@ -64,6 +66,7 @@ def _arm(robot: RobotModel) -> dict[str, Any]:
 
 def _robot(robot: RobotModel) -> dict[str, Any]:
     chain, n = robot.chain, robot.n
+    kind = ["prismatic" if slides else "revolute" for slides in chain.prismatic]
     columns: dict[str, list[Any]] = {
         "sign": [int(s) for s in chain.sign],
         "theta_deg": _degrees(chain.theta),
@@ -71,16 +74,13 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         "a_mm": _list(chain.a),
         "alpha_deg": _degrees(chain.alpha),
         "beta_deg": _degrees(chain.beta),
-        "limits_deg": [_degrees(row) for row in robot.limits],
+        "limits": [_degrees(row) if k == "revolute" else _list(row) for row, k in zip(robot.limits, kind, strict=True)],
         "mass_kg": _list(robot.mass),
         "com_mm": [_list(row) for row in robot.com],
     }
-    if robot.speed is not None:
-        columns["speed_deg_s"] = _degrees(robot.speed)
-    if robot.acceleration is not None:
-        columns["acceleration_deg_s2"] = _degrees(robot.acceleration)
-    if robot.jerk is not None:
-        columns["jerk_deg_s3"] = _degrees(robot.jerk)
+    for name in ("speed", "acceleration", "jerk"):
+        if (values := getattr(robot, name)) is not None:
+            columns[name] = np.where(chain.prismatic, values, angles.degrees(values)[0]).tolist()
     if robot.gear_ratio is not None:
         columns["gear_ratio"] = _list(robot.gear_ratio)
     data: dict[str, Any] = {"name": robot.name}
@@ -88,11 +88,35 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         data["repeatability_mm"] = float(robot.repeatability_mm)
     if robot.balancer is not None:
         data["balancer"] = robot.balancer
-    driven = [{} if drive is None else {"drive": drive} for drive in robot.drives or (None,) * n]
-    data["links"] = [Flow({key: values[i] for key, values in columns.items()} | driven[i]) for i in range(n)]
+    data["links"] = [
+        Flow(
+            _kind_of_joint(robot, i)
+            | {joint_key(k, kind[i]) if k in QUANTITIES else k: v[i] for k, v in columns.items()}
+            | _drive(robot, i)
+        )
+        for i in range(n)
+    ]
+    if chain.root is not None:
+        data["base_to_first_axis"] = _frame(chain.root)
     data["payload"] = Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
     data["base_to_gravity"] = _list(robot.gravity)
     return data
+
+
+def _kind_of_joint(robot: RobotModel, i: int) -> dict[str, Any]:
+    """What is not as of the revolute joints of an arm."""
+    out = {"type": "prismatic"} if robot.chain.prismatic[i] else {}
+    named: dict[str, Any] = {"name": robot.names[i]} if robot.names else {}
+    for joint, leader, ratio in robot.chain.follows:
+        if joint == i:
+            slides = robot.chain.prismatic
+            unit = 1.0 if slides[i] == slides[leader] else (in_degrees(1.0) if slides[leader] else from_degrees(1.0))
+            named["follows"] = Flow({"link": leader + 1, "ratio": float(ratio * unit)})
+    return out | named | ({"carries": "artefact"} if i < robot.chain.floor else {})
+
+
+def _drive(robot: RobotModel, i: int) -> dict[str, Any]:
+    return {} if robot.drive(i) is None else {"drive": robot.drive(i)}
 
 
 def _artefact(artefact: Artefact) -> dict[str, Any]:

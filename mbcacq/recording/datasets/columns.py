@@ -14,7 +14,8 @@ from mbcacq.files.stated_unit import stated_unit
 from mbcacq.files.table import Table
 from mbcacq.model.cell import Cell
 from mbcacq.model.yaml_source import LARGE, parse
-from mbcacq.recording.datasets.csv_columns import XYZ, numbered
+from mbcacq.recording.datasets.columns_of_joints import headings
+from mbcacq.recording.datasets.csv_columns import XYZ
 from mbcacq.recording.datasets.pose_columns import (
     ANGLES,
     LENGTHS,
@@ -45,7 +46,7 @@ def columns_of(text: str) -> dict[str, str]:
 
 def by_flange_poses(table: Table, cell: Cell) -> bool:
     """Whether a table gives no joint angles but the pose of the flange."""
-    return not any(table.has(name) for name in numbered("q{}_deg", cell.robot.n)) and flange_group(table) is not None
+    return not any(table.has(name) for name in headings(cell.robot, "q")) and flange_group(table) is not None
 
 
 def flange_group(table: Table) -> PoseHeadings | None:
@@ -78,7 +79,7 @@ def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
 
     Raises ConfigError where neither joints nor a pose are given, or nothing says how an orientation is meant.
     """
-    joints = numbered("q{}_deg", cell.robot.n)
+    joints = headings(cell.robot, "q")
     some = any(table.has(name) for name in joints)
     if some and cell.robot.of_flange_poses:
         raise ConfigError(f"{table.path.with_name('cell.yaml')}:1: robot is missing, and poses.csv has joint angles; add the robot's links")
@@ -139,9 +140,9 @@ def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -
     if unit is None and all(name.strip().lower().startswith((RTDE_JOINT, "field.")) for name in joints):
         unit = "rad"
     if unit is None:
-        unit = "rad" if np.abs(table.group(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
+        unit = "rad" if np.abs(table.numbers(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
     in_deg = ANGLES[unit] == ANGLES["deg"]
-    return table.group(joints, angle=True) if in_deg else table.group(joints)
+    return table.numbers(joints, angle=True) if in_deg else table.numbers(joints)
 
 
 def names_poses(headings: Sequence[str]) -> bool:

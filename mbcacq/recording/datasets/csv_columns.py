@@ -9,9 +9,10 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.csv_text import csv_text
-from mbcacq.files.table import Column, Table, TableSchema, joint_columns
-from mbcacq.files.table_schema import JOINT_NAMES
+from mbcacq.files.table import Column, Table, TableSchema
+from mbcacq.model.cell import RobotModel
 from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets.columns_of_joints import schema_of
 
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
@@ -21,14 +22,8 @@ TIME = Column("time", "s", aliases=("t", "timestamp", "time_stamp", "clock", "da
 MEASURED = (*(Column(axis, "mm", required=False) for axis in "xyz"), *(Column(name, required=False) for name in QUATERNION))
 
 
-def angles_of_joints(n: int) -> tuple[Column, ...]:
-    """Columns q1 to qn in deg, or by the names that controllers give them, which are in deg where they say no unit."""
-    columns = joint_columns("q", n, unit="deg", aliases=JOINT_NAMES, required=False)
-    return tuple(replace(column, assumed_of_aliases="deg") for column in columns)
-
-
-def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
-    """poses.csv of an arm of n axes; balls: numbers of those that a wide table may have columns of."""
+def poses_schema(robot: RobotModel, balls: Sequence[int] = ()) -> TableSchema:
+    """poses.csv of a robot; balls: numbers of those that a wide table may have columns of."""
     columns = (
         Column("pose", kind="integer", required=False),
         Column("station", kind="text", required=False),
@@ -39,11 +34,7 @@ def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
         *(Column(f"v{axis}", "mm/s", required=False) for axis in "123"),
         *(Column(f"w{axis}", "deg/s", required=False) for axis in "123"),
         Column("payload", "kg", required=False),
-        *angles_of_joints(n),
-        *joint_columns("dir", n, unit=None, written="", required=False),
-        *joint_columns("qd", n, unit="deg/s", written="deg/s", required=False),
-        *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
-        *joint_columns("i", n, unit="A", written="A", required=False),
+        *(column for quantity in ("q", "dir", "qd", "tau", "i") for column in schema_of(robot, quantity)),
         *MEASURED,
         *(Column(f"{axis}{ball}", "mm", required=False) for ball in balls for axis in "xyz"),
     )
@@ -64,18 +55,14 @@ CENTRES = TableSchema(
 )
 
 
-def trajectory_schema(n: int) -> TableSchema:
-    """trajectory.csv of an arm of n axes. Motor currents in A and in percent are two columns, for one cannot be had from the other."""
+def trajectory_schema(robot: RobotModel) -> TableSchema:
+    """trajectory.csv of a robot. Motor currents in A and in percent are two columns, for one cannot be had from the other."""
     return TableSchema(
         "trajectory.csv",
         (
             TIME,
-            *angles_of_joints(n),
-            *joint_columns("q", n, unit="deg", form="{name}{i}_set", required=False),
-            *joint_columns("q", n, unit="deg", form="{name}{i}_joint", required=False),
-            *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
-            *joint_columns("motor_tau", n, unit="N*m", written="N*m", required=False),
-            *joint_columns("i", n, unit="A", written="A", required=False),
+            *(column for form in ("", "_set", "_joint") for column in schema_of(robot, "q", form)),
+            *(column for quantity in ("tau", "motor_tau", "i") for column in schema_of(robot, quantity)),
         ),
         max_bytes=MAX_BYTES,
     )
@@ -111,11 +98,6 @@ def rotations(table: Table) -> np.ndarray:
 def table_text(columns: Mapping[str, Sequence[str]]) -> str:
     """Columns of text as the text of a CSV file."""
     return csv_text(list(columns), zip(*columns.values(), strict=True))
-
-
-def numbered(pattern: str, n: int) -> list[str]:
-    """Column names with the joint's number, 1..n, in place of {}."""
-    return [pattern.format(i + 1) for i in range(n)]
 
 
 def numbers(values: np.ndarray) -> list[str]:

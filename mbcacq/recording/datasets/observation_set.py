@@ -17,24 +17,17 @@ from mbcacq.files.bounded_read import read_bounded
 from mbcacq.files.table import Table, read_table
 from mbcacq.model.board_images import FORMAT as IMAGES_FORMAT
 from mbcacq.model.board_images import BoardImages
-from mbcacq.model.cell import Cell, arm_of_flange_poses
+from mbcacq.model.cell import Cell, RobotModel, arm_of_flange_poses
 from mbcacq.model.json_text import from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
 from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange_group, target_columns
-from mbcacq.recording.datasets.csv_columns import (
-    CENTRES,
-    FLANGE_VELOCITY,
-    QUATERNION,
-    XYZ,
-    numbered,
-    poses_schema,
-    refuse_radians,
-    rotations,
-)
+from mbcacq.recording.datasets.columns_of_joints import headings, read_joints
+from mbcacq.recording.datasets.csv_columns import CENTRES, FLANGE_VELOCITY, QUATERNION, XYZ, poses_schema, refuse_radians, rotations
 from mbcacq.recording.datasets.observation_writer import IMAGES, write_observation_set
+from mbcacq.recording.datasets.scan_folder import centres_from_scans
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
 
@@ -57,8 +50,8 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
     if bag is not None:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
     names = columns_of(text)
-    table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids), names=names)
-    if table.has("q1_deg") or flange_group(table) is not None:  # else the columns that are missing are named first
+    table = read_table(folder / "poses.csv", poses_schema(cell.robot, cell.ball_ids), names=names)
+    if table.has(headings(cell.robot, "q")[0]) or flange_group(table) is not None:  # else the columns that are missing are named first
         complete(table, cell)
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
@@ -69,8 +62,6 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
     elif separate:
         centres = _read_centres(read_table(folder / "centres.csv", CENTRES, names=names), cell, poses)
     elif (folder / "scans").is_dir():
-        from mbcacq.recording.datasets.scan_folder import centres_from_scans
-
         centres = centres_from_scans(folder, cell, poses["pose_id"], poses["station"])
     else:
         raise ConfigError(
@@ -91,13 +82,14 @@ def _images(path: Path) -> BoardImages | None:
 
 def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, Any]]:
     """The cell, with the arm that these poses are of, and the columns of ``Observations``."""
-    n = cell.robot.n
-    joints = numbered("q{}_deg", n)
+    joints = headings(cell.robot, "q")
     by_flange = flange_columns(table, cell, text)
     if by_flange is None:
         table.require(["pose", "station", *joints])
-        q = table.group(joints, angle=True)
-        refuse_radians(table, table.group(joints))
+        q = read_joints(table, cell.robot, "q")
+        assert q is not None, "required"
+        if not cell.robot.chain.sliding:
+            refuse_radians(table, table.numbers(joints))
     else:
         table.require(["pose", "station"])
         q = by_flange.coordinates(table)
@@ -113,30 +105,28 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         out["time_s"] = table.time("time_s")
     if table.has(["sensor_time_s", *FLANGE_VELOCITY]):
         out["sensor_time_s"] = table.number("sensor_time_s")
-        linear, turning = (table.group(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
+        linear, turning = (table.numbers(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
         out["flange_velocity"] = np.concatenate([linear, turning], axis=1)
     if table.has("payload_kg"):
         out["payload_kg"] = table.number("payload_kg")
     if by_flange is None:
-        out |= _of_joints(table, n, q, out.get("time_s"))
+        out |= _of_joints(table, cell.robot, q, out.get("time_s"))
     out["temperatures"] = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
     out["extra"] = {f"poses.{name}": cells for name, cells in table.rest().items()}
     return cell, out
 
 
-def _of_joints(table: Table, n: int, q: np.ndarray, time_s: np.ndarray | None) -> dict[str, Any]:
-    """Columns of the joints beside their angles."""
+def _of_joints(table: Table, robot: RobotModel, q: np.ndarray, time_s: np.ndarray | None) -> dict[str, Any]:
+    """Columns of the joints beside their positions."""
     out: dict[str, Any] = {}
-    if table.has(names := numbered("dir{}", n)):
-        out["direction"] = np.stack([_direction(table, name) for name in names], axis=1)
+    if table.has(names := headings(robot, "dir")):
+        out["direction"] = np.zeros(q.shape, dtype=np.int64)
+        out["direction"][:, robot.counted] = np.stack([_direction(table, name) for name in names], axis=1)
     else:
         out["movement"] = _movement(q, time_s)
-    if table.has(names := numbered("qd{}_deg_s", n)):
-        out["velocity"] = table.group(names, angle=True)
-    if table.has(names := numbered("tau{}_Nm", n)):
-        out["torque"] = table.group(names)
-    if table.has(names := numbered("i{}_A", n)):
-        out["current"] = table.group(names)
+    for name, quantity in (("velocity", "qd"), ("torque", "tau"), ("current", "i")):
+        if table.has(headings(robot, quantity)):
+            out[name] = read_joints(table, robot, quantity)
     return out
 
 
@@ -159,7 +149,7 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
             f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station"
         )
     _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
-    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
+    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.numbers(XYZ)}
     if table.has(["n_points"]):
         values = table.number("n_points")
         whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53

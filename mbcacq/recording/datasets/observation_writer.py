@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.files import angles
 from mbcacq.files.atomic_write import Content, write_files
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import in_degrees
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
-from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbered, numbers, table_text
+from mbcacq.recording.datasets.columns_of_joints import text_of_joints
+from mbcacq.recording.datasets.csv_columns import FLANGE_VELOCITY, QUATERNION, XYZ, numbers, table_text
 
 IMAGES = "images.json"
 # A rotation vector in rad: the numbers that are in memory, and a heading that cannot be meant otherwise.
@@ -47,7 +47,6 @@ def _cell_text(obs: Observations) -> str:
 
 
 def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
-    n = obs.q.shape[1]
     station = np.array([s.id for s in obs.cell.stations])
     columns: dict[str, Sequence[str]] = {"pose": numbers(obs.pose_id)}
     if obs.phase is not None:
@@ -58,19 +57,14 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
     if obs.cell.robot.of_flange_poses:
         columns |= dict(zip(FLANGE_COLUMNS, map(numbers, obs.q.T), strict=True))
     else:
-        columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
+        columns |= text_of_joints(obs.cell.robot, "q", obs.q)
     if obs.flange_velocity is not None and obs.sensor_time_s is not None:
         columns["sensor_time_s"] = numbers(obs.sensor_time_s)
         of_flange = np.concatenate([obs.flange_velocity[:, :3].T, in_degrees(obs.flange_velocity[:, 3:]).T])
         columns |= dict(zip(FLANGE_VELOCITY, map(numbers, of_flange), strict=True))
-    for pattern, values, text in (
-        ("dir{}", obs.direction, numbers),
-        ("qd{}_deg_s", obs.velocity, angles.degrees_text),
-        ("tau{}_Nm", obs.torque, numbers),
-        ("i{}_A", obs.current, numbers),
-    ):
+    for quantity, values in (("dir", obs.direction), ("qd", obs.velocity), ("tau", obs.torque), ("i", obs.current)):
         if values is not None:
-            columns |= dict(zip(numbered(pattern, n), map(text, values.T), strict=True))
+            columns |= text_of_joints(obs.cell.robot, quantity, values)
     if obs.payload_kg is not None:
         columns["payload_kg"] = numbers(obs.payload_kg)
     columns |= {name: numbers(values) for name, values in obs.temperatures.items()}

@@ -10,9 +10,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from mbcacq.errors import ConfigError
-from mbcacq.files import angles
 from mbcacq.files.atomic_write import finish_set, write_files
-from mbcacq.files.table import Table, read_table
+from mbcacq.files.table import read_table
 from mbcacq.model.bounds import Direction, GearRatio, Repeatability
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict
@@ -21,7 +20,8 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.model.yaml_source import LARGE, read
 from mbcacq.recording.datasets.bag import bag_of, trajectory_columns
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
-from mbcacq.recording.datasets.csv_columns import numbered, numbers, refuse_radians, table_text, trajectory_schema
+from mbcacq.recording.datasets.columns_of_joints import headings, read_joints, text_of_joints
+from mbcacq.recording.datasets.csv_columns import numbers, refuse_radians, table_text, trajectory_schema
 from mbcacq.recording.datasets.open_format import validate
 
 FORMAT = "mbcacq-trajectory-set/1"
@@ -74,21 +74,23 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
 
 def read_motion(folder: Path, robot: RobotModel, simulated: bool) -> Trajectory:
     """``trajectory.csv`` of a folder. Raises ConfigError as ``read_trajectory_set``."""
-    table = read_table(folder / "trajectory.csv", trajectory_schema(robot.n))
-    table.require(["time_s", *numbered("q{}_deg", robot.n)])
+    table = read_table(folder / "trajectory.csv", trajectory_schema(robot))
+    table.require(["time_s", *headings(robot, "q")])
     unit = "percent" if table.has("i1_percent") and not table.has("i1_A") else "A"
     time_s = table.time("time_s")
     if len(time_s) > 1 and (np.diff(time_s) <= 0).any():
         row = int(np.argmax(np.diff(time_s) <= 0)) + 1
         raise ConfigError(f"{table.where(row, 'time_s')}: the time does not rise; sort the rows and remove doubles")
-    q = table.group(numbered("q{}_deg", robot.n), angle=True)
-    refuse_radians(table, table.group(numbered("q{}_deg", robot.n)))
+    q = read_joints(table, robot, "q")
+    assert q is not None, "required"
+    if not robot.chain.sliding:
+        refuse_radians(table, table.numbers(headings(robot, "q")))
     signals = {
-        "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
-        "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True),
-        "torque": _signal(table, "tau{}_Nm", robot.n),
-        "motor_torque": _signal(table, "motor_tau{}_Nm", robot.n),
-        "current": _signal(table, f"i{{}}_{unit}", robot.n),
+        "q_set": read_joints(table, robot, "q", "_set"),
+        "q_joint": read_joints(table, robot, "q", "_joint"),
+        "torque": read_joints(table, robot, "tau"),
+        "motor_torque": read_joints(table, robot, "motor_tau"),
+        "current": read_joints(table, robot, "i" if unit == "A" else "i_percent"),
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
     return Trajectory(
@@ -100,16 +102,16 @@ def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
     """Write the folder. Raises RecordingError if that is impossible."""
     t, folder = trajectory, Path(folder)
     columns = {"time_s": numbers(t.time_s)}
-    for pattern, values, text in (
-        ("q{}_set_deg", t.q_set, angles.degrees_text),
-        ("q{}_deg", t.q, angles.degrees_text),
-        ("q{}_joint_deg", t.q_joint, angles.degrees_text),
-        ("tau{}_Nm", t.torque, numbers),
-        ("motor_tau{}_Nm", t.motor_torque, numbers),
-        (f"i{{}}_{t.current_unit}", t.current, numbers),
+    for quantity, values, form in (
+        ("q", t.q_set, "_set"),
+        ("q", t.q, ""),
+        ("q", t.q_joint, "_joint"),
+        ("tau", t.torque, ""),
+        ("motor_tau", t.motor_torque, ""),
+        ("i" if t.current_unit == "A" else "i_percent", t.current, ""),
     ):
         if values is not None:
-            columns |= {pattern.format(i + 1): text(column) for i, column in enumerate(values.T) if np.isfinite(column).all()}
+            columns |= text_of_joints(t.robot, quantity, values, form)
     columns |= {name: numbers(values) for name, values in t.temperatures.items()}
     columns |= {name: cells.tolist() for name, cells in t.extra.items() if name not in columns}
     write_files(folder, {"cell.yaml": robot_to_yaml(FORMAT, t.robot, t.simulated), "trajectory.csv": table_text(columns)})
@@ -144,15 +146,3 @@ def _shipped_robot(model: str, use: _RobotUse) -> RobotModel:
         "repeatability_mm": use.repeatability_mm,
     }
     return validate(RobotSpec, file).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
-
-
-def _signal(table: Table, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
-    """(T, n) with NaN for joints that have no such column; None where no joint has one."""
-    names = [pattern.format(i + 1) for i in range(n)]
-    if not any(table.has(name) for name in names):
-        return None
-    out = np.full((len(table), n), np.nan)
-    for i, name in enumerate(names):
-        if table.has(name):
-            out[:, i] = table.radians(name) if angle else table.number(name)
-    return out

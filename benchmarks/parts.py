@@ -1,0 +1,252 @@
+"""Cells that are calibrated and checked by the scans of a part, and what else is made of such scans.
+
+Simulated scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose
+of the part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and
+``memory``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bench
+import numpy as np
+from bench import PLANS, TESTS, option
+
+from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.design import part_coverage
+from mbcacq.design.options import OPTIONS as DESIGN
+from mbcacq.estimation import parameters
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
+from mbcacq.interim_check.on_part import with_points
+from mbcacq.interim_check.options import UsualChanges
+from mbcacq.interim_check.planned_check import PlannedCheck, planned_check
+from mbcacq.model import yaml12
+from mbcacq.model.observations import Observations
+from mbcacq.parts.merge import merge
+from mbcacq.parts.observations import observations_of_parts
+from mbcacq.parts.options import PartOptions
+from mbcacq.parts.placement import CellPlacement, CommonMotion
+from mbcacq.parts.scans import PartScan
+from mbcacq.parts.scene import RegisteredScene
+from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
+from mbcacq.workflow.acquire import solver_cell
+
+sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
+SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
+JOINT = 5e-6
+COUNT = option("--cells", type=int, default=40, help="number of simulated cells")
+
+
+def plan_of(places: bool) -> LoadedPlan:
+    """plans/part.yaml with its part alone: 30 views at its station, or twelve at each of the five places of the balls."""
+    plan = yaml12.load((PLANS / "part.yaml").read_text(encoding="utf-8"))
+    balls, part = plan["steps"][2]["views"], plan["steps"][3]
+    if places:
+        plan["stations"] = [s | {"artefact": "freeform"} for s in plan["stations"] if s["id"] != "part"]
+        at = [[-55, -30, 40], [55, 30, 40], [-55, 30, 40], [55, -30, 40], [0, 0, 40]]
+        turned = [(10, 0, 45, "positive"), (32, 20, -45, "negative"), (32, 200, 45, "positive"), (18, 110, 80, "negative")]
+        balls = [{k: v for k, v in view.items() if k != "shift_mm"} for view in balls]
+        balls += [{"tilt_deg": t, "azimuth_deg": a, "roll_deg": r, "wrist": w} for t, a, r, w in turned]
+        part["views"] = [view | {"at_mm": at[k % 5]} for k, view in enumerate(balls)]
+    else:
+        plan["stations"] = [s for s in plan["stations"] if s["id"] == "part"]
+    part["stations"], plan["steps"], plan["artefacts"] = [s["id"] for s in plan["stations"]], [part], ["parts/freeform.yaml"]
+    return load(PLANS / "part-alone.yaml", yaml12.dump(plan))
+
+
+def recording(loaded: LoadedPlan, poses: list[PlannedPose], seed: int, links: float) -> tuple[Observations, Chain, np.ndarray]:
+    """What scans of the part give in a simulated cell, its arm and its hand-eye transform. links: times the usual errors of an arm.
+
+    Errors that cannot be told from the place of the base or from the hand-eye transform are none.
+    """
+    rng, cell, q = np.random.default_rng(seed), loaded.cell, np.array([p.q for p in poses])
+    ids = [s.id for s in cell.stations]
+    station = np.array([ids.index(p.station) for p in poses])
+    none = {"pose": np.zeros(0, int), "ball": np.zeros(0, int), "xyz": np.zeros((0, 3))}
+    obs = Observations(cell=solver_cell(loaded), pose_id=np.arange(len(q)), station=station, q=q, **none)
+    X = cell.T_flange_scanner @ se3.exp(np.array(DESIGN.mounting_errors) * rng.standard_normal(6))
+    stood, drawn = q + JOINT * rng.standard_normal(q.shape), links * np.array(DESIGN.parameter_errors) * rng.standard_normal((6, 5))
+
+    def seen(chain: Chain, noise: float) -> Observations:
+        T, scenes = chain.frames(stood)[:, -1] @ X, {}
+        for s in range(len(ids)):
+            at = np.flatnonzero(station == s)
+            frame = cell.stations[s].planned_pose @ se3.transform(np.eye(3), np.array([0, 0, 40.0]))
+            pose, off = se3.inverse(T[at]) @ frame, noise * SIGMA * rng.standard_normal((len(at), 6))
+            pose = se3.transform(se3.rotation_exp(off[:, 3:]) @ pose[:, :3, :3], pose[:, :3, 3] + off[:, :3])
+            own = np.broadcast_to(np.diag(SIGMA**2), (len(at), 6, 6))
+            scenes[ids[s]] = RegisteredScene(pose, own, np.zeros((len(at), 6, 0)), frame, (), SmoothNoise(0.0, 1.0)), at
+        return observations_of_parts(obs, scenes)
+
+    free = parameters.build(seen(cell.robot.chain, 0.0), CalibrationOptions()).blocks[0].free.reshape(-1, 5)
+    chain = cell.robot.chain.with_errors(np.where(free, drawn, 0.0))
+    return seen(chain, 1.0), chain, X
+
+
+def hand_eye(args: argparse.Namespace) -> None:
+    """Hand-eye transform from 30 scans at one station: error against its covariance (NEES), and against the bound."""
+    loaded = plan_of(places=False)
+    poses = expand(loaded)
+    for links, name in ((0.0, "the arm as described"), (1.0, "an arm with usual errors, taken as nominal")):
+        nees, square, stated = [], [], []
+        for k in range(args.cells):
+            obs, _, X = recording(loaded, poses, 100 + k, links)
+            found = calibrate(obs, CalibrationOptions(kinematics=False))
+            at = [found.names.index(f"hand_eye.{axis}") for axis in ("x", "y", "z", "rx", "ry", "rz")]
+            C, E = found.covariance[np.ix_(at, at)], se3.inverse(found.state.T_flange_scanner) @ X
+            off = np.r_[E[:3, 3], se3.rotation_log(E[:3, :3])]
+            nees.append(off @ np.linalg.solve(C, off) / 6)
+            square.append(off**2)
+            stated.append(np.diag(C))
+        error, scatter = np.sqrt(np.mean(square, axis=0)), np.std(nees) / np.sqrt(args.cells)
+        ratio = np.sqrt(np.mean(np.array(square) / np.array(stated)))
+        um, urad = 1e3 * np.linalg.norm(error[:3]), 1e6 * np.linalg.norm(error[3:])
+        print(f"{name}: NEES {np.mean(nees):.2f} +- {scatter:.2f}, error over bound {ratio:.2f}; {um:.1f} um, {urad:.0f} urad (3D rms)")
+
+
+def arm(args: argparse.Namespace) -> None:
+    """An arm with usual errors from 60 scans of the part at five places: errors of distances of more than 200 mm, before and after."""
+    loaded = plan_of(places=True)
+    poses = expand(loaded)
+    factors, shares = [], []
+    for k in range(args.cells):
+        obs, chain, X = recording(loaded, poses, 300 + k, 1.0)
+        found = calibrate(obs, CalibrationOptions(refuse=False))
+        xyz = np.array([10.0, 20.0, -5.0]) + np.random.default_rng(k).uniform(-30, 30, (obs.n_poses, 3))
+        states = (
+            (chain, X),
+            (loaded.cell.robot.chain, found.preliminary.T_flange_scanner),
+            (found.state.chain, found.state.T_flange_scanner),
+        )
+        place = [se3.apply((c.frames(obs.q)[:, -1] @ T)[:, None], xyz[:, None])[:, 0] for c, T in states]
+        i, j = np.triu_indices(obs.n_poses, 1)
+        true, before, after = (np.linalg.norm(p[i] - p[j], axis=1) for p in place)
+        far = true > 200
+        U = 2 * found.distance_uncertainty(obs.q[i], xyz[i], obs.q[j], xyz[j])
+        was, now = (np.abs(d - true)[far] for d in (before, after))
+        factors.append(was.mean() / now.mean())
+        shares.append(np.mean(now < U[far]))
+    least, median = np.min(factors), np.median(factors)
+    print(
+        f"{args.cells} cells: errors smaller by {median:.0f} (median), {least:.1f} at least; {np.mean(shares):.3f} of them within U (k = 2)"
+    )
+
+
+def steps(args: argparse.Namespace) -> None:
+    """Steps between two scans of the fake scanner: error against its covariance (NEES), and the share of the scatter that is noise."""
+    from test_steps import pairs
+
+    o = PartOptions()
+    for shape in ("casting", "blocks", "turned"):
+        made = list(pairs(shape, args.pairs, 11))
+        noise, each = smooth_noise([cells for cells, _ in made], o), []
+        for cells, error in made:
+            step = rigid_step(cells, noise, o)
+            G = step.determined.T * step.scaled
+            off = G @ (step.twist - np.r_[error[:3] + np.cross(error[3:], step.centre), error[3:]])
+            each.append(off @ np.linalg.solve(G @ step.covariance @ G.T, off) / len(G))
+        named = sum(bool(rigid_step(cells, noise, o).undetermined) for cells, _ in made)
+        scatter = np.std(each) / np.sqrt(len(each))
+        print(f"{shape}: NEES {np.mean(each):.2f} +- {scatter:.2f}; share {noise.share:.2f}; not determined in {named} of {args.pairs}")
+
+
+def check_of() -> PlannedCheck:
+    """A check by the 30 scans of plans/part.yaml, of a cell that the balls of plans/kuka.yaml calibrated."""
+    learnt = load(PLANS / "kuka.yaml")
+    observations, _ = observe(learnt, expand(learnt), Scenario(0, "none", 3, (), 1, 1.0), [])
+    points, scans = with_points(loaded := load(PLANS / "part.yaml"), expand(loaded))
+    return planned_check(points, scans, CalibratedCell.from_dict(calibrate(observations).to_dict()), False, UsualChanges())
+
+
+def check(args: argparse.Namespace) -> None:
+    """False alarms over days without a change, and the looks until a slip of the mount of 0.05 mm in any direction is found."""
+    from test_check_on_part import checked, day_of
+
+    planned, looks, alarms, first, second = check_of(), 0, 0, 0, 0
+    for k in range(args.cells):
+        rng = np.random.default_rng(1000 + k)
+        days = [day_of(planned, rng) for _ in range(10)]
+        alarms += any(checked(planned, days[:t])[0].changed for t in (2, 4, 7, 10))
+        looks += 10
+        slip = rng.standard_normal(3)
+        days = [*days[:6], *(day_of(planned, rng, 0.05 * slip / np.linalg.norm(slip)) for _ in range(2))]
+        at_once = checked(planned, days[:7])[0].changed
+        first, second = first + at_once, second + (at_once or checked(planned, days)[0].changed)
+        print(f"{k + 1} cells, {looks} looks: {alarms} with an alarm; slips found at once {first}, at the second look {second}", flush=True)
+
+
+def views(args: argparse.Namespace) -> None:
+    """Views that cover the part of plans/part.yaml, beside the best of so many random starts of the same search."""
+    loaded, o = load(PLANS / "part.yaml"), DESIGN
+    for seed in range(args.cells):
+        found = part_coverage.part_views(loaded, "part", None, 40.0, seed, o)
+        ours, rng = len(part_coverage.fewest_views(found.shown, o)), np.random.default_rng(seed)
+        starts = []
+        for _ in range(args.starts):
+            kept = rng.permutation(len(found.shown))[: len(found.shown) * 2 // 3]
+            lost = found.shown[kept].any(axis=0).sum() / found.shown.any(axis=0).sum()
+            starts.append(len(part_coverage.fewest_views(found.shown[kept], replace(o, coverage=o.coverage / lost))))
+        print(f"seed {seed}: {ours} views; best of {args.starts} starts {min(starts)}, median {np.median(starts):.0f}", flush=True)
+
+
+def memory(args: argparse.Namespace) -> None:
+    """Peak memory of a merge, by the number of points."""
+    import part_shapes
+
+    cell = check_of().cell
+    triangles, o, rng = (
+        part_shapes.height_field(part_shapes.SHAPES["casting"], half=(400.0, 300.0)),
+        PartOptions(),
+        np.random.default_rng(0),
+    )
+    one = part_shapes.scan(rng, triangles, part_shapes.look(10, 0))
+    q = np.radians([0, -70, 90, 0, 70, 0])
+    each = np.concatenate([one + rng.normal(0, 0.01, one.shape) for _ in range(max(1, 1_000_000 // len(one)))])
+    way = CellPlacement("geometry", cell)
+    for count in args.scans:
+
+        def scans(count: int = count) -> Any:
+            for k in range(count):  # each somewhere else on a large part
+                yield PartScan(k, q + np.radians([0.5 * k, 0, 0, 0, 0, 0]), each)
+
+        common, begun = CommonMotion.of(way, [(q, each[::5000])]), time.perf_counter()
+        with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+            merged = merge(scans, way, common, (0.01, 0.009), 0.3, Path(folder) / "m.ply", o)
+        peak, took = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, time.perf_counter() - begun
+        print(
+            f"{merged.read / 1e6:.0f} million points of {count} scans: {merged.kept / 1e6:.1f} kept, {took:.0f} s, peak {peak:.2f} GiB",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    raise SystemExit(
+        bench.main(
+            __doc__,
+            {
+                "hand-eye": (hand_eye, [COUNT]),
+                "arm": (arm, [COUNT]),
+                "steps": (steps, [option("--pairs", type=int, default=40, help="pairs of each shape")]),
+                "check": (check, [COUNT]),
+                "views": (views, [option("--cells", type=int, default=3, help="seeds"), option("--starts", type=int, default=50)]),
+                "memory": (
+                    memory,
+                    [option("--scans", type=int, nargs="*", default=[5, 10, 20]), option("--folder", type=Path, default=Path())],
+                ),
+            },
+        )
+    )
