@@ -164,18 +164,24 @@ def _strongest_order(groups: _Groups) -> tuple[float, int, float]:
     left = groups.extended.at(noise).after_fit().poses.by_pose(lambda of: of.residual_joint)
     error, q = problem.rows.per_pose(left) * noise.joint, problem.obs.q
     found = 0.0, 0, 0.0
-    for j in range(q.shape[1]):
+    for j in np.flatnonzero(~problem.obs.cell.robot.chain.prismatic).tolist():
         step = np.pi / 2 / max(float(np.ptp(q[:, j])), np.pi / 2)  # a quarter of the distance of orders that can be told apart
         shifts = np.arange(8 * step, 2 * FASTEST_MESH, step)
-        alike = shifts[np.abs(np.exp(1j * np.outer(shifts, q[:, j])).mean(axis=1)) > ALIAS]
+        alike = shifts[_periodogram(shifts, q[:, j], np.full(len(q), 1 / len(q))) > ALIAS**2]
         orders = np.arange(discrepancy.OPTIONS.fastest + 1.0, min(alike.min(initial=np.inf) / 2, FASTEST_MESH), step)
         power, best = np.zeros(1), 0.0
         for _ in range(2 if len(orders) else 0):
-            power = np.abs(np.exp(1j * np.outer(orders, q[:, j])) @ error[:, j]) ** 2 / max(float(error[:, j] @ error[:, j]), 1e-300)
+            power = _periodogram(orders, q[:, j], error[:, j] / max(float(np.linalg.norm(error[:, j])), 1e-300))
             best = float(orders[power.argmax()])
             orders = np.linspace(best - step, best + step, 33)
         found = max(found, (float(power.max()), j, best))
     return found
+
+
+def _periodogram(orders: np.ndarray, q: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(H,) squared magnitude of the sums of values (P,) by orders (H,) of an angle q (P,), in parts of some megabytes."""
+    parts = np.array_split(orders, 1 + len(orders) * len(q) // 10**6)
+    return np.concatenate([np.abs(np.exp(1j * np.outer(some, q)) @ values) ** 2 for some in parts])
 
 
 def wander_of(terms: Sequence[EffectTerm], joints: int) -> np.ndarray | None:

@@ -153,8 +153,16 @@ def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
         except Missing as reason:
             dropped[name] = str(reason)
             continue
-        out += found
+        out += found if declaration(name).of_slides else [c for c in found if not _slides(c, context)]
     return out, dropped
+
+
+def _slides(candidate: Candidate, context: Context) -> bool:
+    """Whether a candidate displaces a prismatic joint, or is a function of one's position as if it were an angle."""
+    parts = candidate.parts(None if candidate.hyper is None else float(candidate.hyper.values[0]))
+    slides = context.state.chain.sliding
+    angles = {f"{kind}{j + 1}" for j in slides for kind in ("q", "movement_")}
+    return any((p.place == "joint" and p.index in slides) or p.covariates & angles for p in parts) if slides else False
 
 
 def _require_covariates(found: Sequence[Candidate], context: Context) -> None:

@@ -152,6 +152,8 @@ class Declaration:
         (parameters found in motion, parameters of all effects found) -> the same in the vocabulary of the poses, if that differs.
     needs
         Columns of a recording without which it cannot be told from others.
+    of_slides
+        Prismatic joints can have it, too; its coefficients and covariates are then in mm.
     drives, without_drive
         Drives of a joint that can have it, where not every one can; and why no other has it, as the end of a sentence.
     challenge
@@ -171,6 +173,7 @@ class Declaration:
     model_block: str = ""
     in_terms_of_poses: Callable[[Parameters, Parameters], Parameters] | None = None
     needs: tuple[str, ...] = ()
+    of_slides: bool = False
     drives: tuple[Drive, ...] = ()
     without_drive: str = ""
     challenge: Challenge | None = None

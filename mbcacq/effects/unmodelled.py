@@ -73,7 +73,8 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
     the order of the poses, and the orientation that it measures by the line of sight.
     """
     n, torque = here.n, here.gravity_torque
-    moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]
+    slides = here.obs.cell.robot.chain.sliding
+    moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02 and i not in slides]
     found = [group(here, f"A{i + 1}", f"q{i + 1}") for i in moving]
     if here.obs.movement is not None:
         found += [group(here, f"A{i + 1}", f"movement_{i + 1}") for i in moving]

@@ -16,6 +16,7 @@ from mbcacq.geometry.numerical_inverse import NumericalInverse, SolverOptions
 from mbcacq.model.cell import TARGET_IN_BASE, Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
 
+OFF = 3.0  # mm by which looks miss the middle of the balls
 DOWN = se3.transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 LOOKING = se3.transform(np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), np.array([1.0, -0.5, 265.0]))  # z back at the scanner
 FAST = SolverOptions(table_size=2000, rounds=4, starts_per_round=12, quiet_rounds=1, most_branches=4)
@@ -135,7 +136,7 @@ def _placed(rng: np.random.Generator, centre: np.ndarray) -> np.ndarray:
 def _look(T_base_station: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """T_base_scanner of a look at the middle of the balls."""
     tilt = 0.5 * rng.uniform(-1, 1, size=3) * np.array([1, 1, 3])
-    return T_base_station @ se3.transform(se3.rotation_exp(tilt), MBC.mean(axis=0) + rng.normal(size=3) * 3)
+    return T_base_station @ se3.transform(se3.rotation_exp(tilt), MBC.mean(axis=0) + rng.normal(size=3) * OFF)
 
 
 def arm_error(found, cell: Simulated) -> tuple[np.ndarray, np.ndarray]:

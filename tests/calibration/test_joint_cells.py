@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from mbcacq.calibration.calibrate import calibrate
+from mbcacq.effects import catalogue
+from mbcacq.effects.context import Context
+from mbcacq.estimation.forward_model import predict
 from mbcacq.estimation.options import CalibrationOptions
 
 FREE = CalibrationOptions(random_links=False, discrepancy=False)
@@ -60,3 +63,15 @@ def test_rails_that_are_not_straight_are_learnt_along_the_track():
     learnt, rigid = calibrate(truth.observations), calibrate(truth.observations, FREE)
     assert learnt.noise.joint[0] < 0.02  # mm: what the rails do is not taken for noise of the track
     assert rigid.noise.joint[0] > 2 * learnt.noise.joint[0]
+
+
+def test_effects_of_angles_are_not_asked_of_a_slide():
+    """A gear's periods a turn, or a zero in rad per kelvin, are no effects of a track; the scale of its drive is one, in mm."""
+    truth = made.scanner_cell(made.on_a_track(), np.random.default_rng(0), np.array([[600.0, 500, 100], [2600, -500, 200]]), 6)
+    obs = truth.observations
+    found, _ = catalogue.candidates(Context(obs, truth.truth, predict(obs, truth.truth)))
+    at_the_track = [c for c in found if "A1" in c.where]
+    assert [c.name for c in at_the_track] == ["joint_scale"]
+    (part,) = at_the_track[0].parts()
+    assert part.covariates == {"s1"}
+    assert {"A2", "A3"} <= {c.where[0] for c in found}

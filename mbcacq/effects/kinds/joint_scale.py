@@ -1,4 +1,4 @@
-"""A joint that turns a little more or less than reported: encoder or gear ratio. ``ratio`` is the excess over 1.
+"""A joint that turns or slides a little more or less than reported: encoder, gear ratio, lead of a screw. ``ratio`` is the excess over 1.
 
 In motion the joint side moves by another ratio than the motor side reports.
 """
@@ -18,6 +18,7 @@ NAME = "joint_scale"
 # belt creeps by some 1e-3, a friction wheel slips, a screw has an error of its lead (ISO 3408-3: some 1e-4).
 DRIVES = ("belt", "friction_wheel", "screw", "scaled_encoder")
 DECLARED = Declaration(
+    of_slides=True,
     drives=DRIVES,
     without_drive="the ratio of a gear is one of whole teeth (drive: belt, friction_wheel, screw or scaled_encoder permits the name)",
     challenge=Challenge(number=6, in_motion=8),
@@ -29,7 +30,7 @@ def candidates(context: Context) -> list[Candidate]:
     out = []
     for i in range(context.n):
         if np.ptp(context.obs.q[:, i]) > 0.02:
-            cause = f"q{i + 1}"
+            cause = context.position(i)
             parts = [DescribedPart("joint", i, 0, (linear(cause),))]
             out.append(plain_effect(NAME, [f"A{i + 1}"], cause, parts, {f"A{i + 1}.ratio": 1e-4}))
     return out
