@@ -47,6 +47,7 @@ if __name__ == "__main__":
         option("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME"),
         option("--most", type=int, default=12, help="messages of each link and sender that are hurt (default 12)"),
         option("--draw", type=int, default=0, help="instead, so many faults at messages drawn at random"),
+        option("--flip", action="store_true", help="flip one bit of a message, and do nothing else to it"),
         option("--json", type=Path, help="write every verdict here"),
     ]
     sys.exit(

@@ -1,13 +1,15 @@
 """Cells that are calibrated and checked by the scans of a part, and what else is made of such scans.
 
-Made scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose of the
-part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and ``merge``.
+Simulated scenes: a true cell with the errors of a usual arm and mount (``DesignOptions``), joints that repeat within 5 urad, and the pose
+of the part before the scanner with the noise that scans of a casting have. Real scans, of the fake scanner, are those of ``steps`` and
+``memory``.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -43,9 +45,10 @@ from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.workflow.acquire import solver_cell
 
+sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
 SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
 JOINT = 5e-6
-COUNT = option("--cells", type=int, default=40, help="number of made cells")
+COUNT = option("--cells", type=int, default=40, help="number of simulated cells")
 
 
 def plan_of(places: bool) -> LoadedPlan:
@@ -66,8 +69,10 @@ def plan_of(places: bool) -> LoadedPlan:
 
 
 def recording(loaded: LoadedPlan, poses: list[PlannedPose], seed: int, links: float) -> tuple[Observations, Chain, np.ndarray]:
-    """What scans of the part give in a made cell, its arm and its hand-eye transform. links: times the usual errors of an arm. Errors that
-    cannot be told from the place of the base or from the hand-eye transform are none."""
+    """What scans of the part give in a simulated cell, its arm and its hand-eye transform. links: times the usual errors of an arm.
+
+    Errors that cannot be told from the place of the base or from the hand-eye transform are none.
+    """
     rng, cell, q = np.random.default_rng(seed), loaded.cell, np.array([p.q for p in poses])
     ids = [s.id for s in cell.stations]
     station = np.array([ids.index(p.station) for p in poses])
@@ -143,7 +148,7 @@ def arm(args: argparse.Namespace) -> None:
 
 def steps(args: argparse.Namespace) -> None:
     """Steps between two scans of the fake scanner: error against its covariance (NEES), and the share of the scatter that is noise."""
-    from parts.test_steps import pairs
+    from test_steps import pairs
 
     o = PartOptions()
     for shape in ("casting", "blocks", "turned"):
@@ -159,7 +164,7 @@ def steps(args: argparse.Namespace) -> None:
         print(f"{shape}: NEES {np.mean(each):.2f} +- {scatter:.2f}; share {noise.share:.2f}; not determined in {named} of {args.pairs}")
 
 
-def check_of(folder: Path) -> PlannedCheck:
+def check_of() -> PlannedCheck:
     """A check by the 30 scans of plans/part.yaml, of a cell that the balls of plans/kuka.yaml calibrated."""
     learnt = load(PLANS / "kuka.yaml")
     observations, _ = observe(learnt, expand(learnt), Scenario(0, "none", 3, (), 1, 1.0), [])
@@ -169,9 +174,9 @@ def check_of(folder: Path) -> PlannedCheck:
 
 def check(args: argparse.Namespace) -> None:
     """False alarms over days without a change, and the looks until a slip of the mount of 0.05 mm in any direction is found."""
-    from interim_check.test_check_on_part import checked, day_of
+    from test_check_on_part import checked, day_of
 
-    planned, looks, alarms, first, second = check_of(Path()), 0, 0, 0, 0
+    planned, looks, alarms, first, second = check_of(), 0, 0, 0, 0
     for k in range(args.cells):
         rng = np.random.default_rng(1000 + k)
         days = [day_of(planned, rng) for _ in range(10)]
@@ -200,9 +205,9 @@ def views(args: argparse.Namespace) -> None:
 
 def memory(args: argparse.Namespace) -> None:
     """Peak memory of a merge, by the number of points."""
-    from parts import part_shapes
+    import part_shapes
 
-    cell = check_of(Path()).cell
+    cell = check_of().cell
     triangles, o, rng = (
         part_shapes.height_field(part_shapes.SHAPES["casting"], half=(400.0, 300.0)),
         PartOptions(),
@@ -229,7 +234,6 @@ def memory(args: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    assert TESTS.is_dir(), "the made shapes are those of the tests"
     raise SystemExit(
         bench.main(
             __doc__,

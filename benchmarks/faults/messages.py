@@ -19,21 +19,22 @@ sys.path.insert(0, str(TESTS / "conformance"))
 from benches import BENCHES  # noqa: E402
 from whole_run import BUSES, WholeRun  # noqa: E402
 
-from mbcacq.conformance import ACTIONS, Case, InjectionVerdict, cases, inject, survey  # noqa: E402
+from mbcacq.conformance import Case, InjectionVerdict, cases, inject, survey  # noqa: E402
+from mbcacq.conformance.faults import ACTIONS, FLIP  # noqa: E402
 
 WHOLE = {"whole run": "", f"whole run over {BUSES}": BUSES}
 NAMES = [*(name for name in BENCHES if name != "manual"), *WHOLE]
 
 
-def drawn(counts: Mapping[tuple[str, Any], int], number: int, seed: int) -> Iterator[Case]:
+def drawn(counts: Mapping[tuple[str, Any], int], number: int, seed: int, actions: tuple[str, ...]) -> Iterator[Case]:
     """So many faults at messages drawn at random, each link and sender as likely as any other."""
     rng, links = random.Random(seed), [link for link, count in sorted(counts.items()) if count]
     for _ in range(number):
         link, sender = rng.choice(links)
-        yield Case(link, sender, rng.randrange(counts[link, sender]), rng.choice(ACTIONS))
+        yield Case(link, sender, rng.randrange(counts[link, sender]), rng.choice(actions))
 
 
-def examine(name: str, most: int, draw: int = 0, seed: int = 0) -> list[InjectionVerdict]:
+def examine(name: str, most: int, draw: int = 0, seed: int = 0, flip: bool = False) -> list[InjectionVerdict]:
     verdicts: list[InjectionVerdict] = []
     if name in WHOLE:
         run = WholeRun(WHOLE[name])
@@ -41,8 +42,9 @@ def examine(name: str, most: int, draw: int = 0, seed: int = 0) -> list[Injectio
     else:
         counts, one = survey(BENCHES[name]), partial(inject, BENCHES[name])
     began = time.monotonic()
-    for case in drawn(counts, draw, seed) if draw else cases(counts, most):
-        verdict = one(case)
+    actions = (FLIP,) if flip else ACTIONS
+    for number, case in enumerate(drawn(counts, draw, seed, actions) if draw else cases(counts, most, actions)):
+        verdict = one(case, seed=seed + number) if flip and name not in WHOLE else one(case)
         verdicts.append(verdict)
         if not verdict.good:
             print(f"  NOT GOOD: {name}: {case}: {verdict.result}: {verdict.detail}", flush=True)
@@ -64,9 +66,9 @@ def table(verdicts: list[InjectionVerdict]) -> None:
         key=lambda r: ("recovered", "named error", "not reached").index(r) if r in ("recovered", "named error", "not reached") else 9,
     )
     print("| fault | " + " | ".join(results) + " |\n|---|" + "---|" * len(results))
-    for action in ACTIONS:
-        count = Counter(v.result for v in verdicts if v.case.action == action)
-        print(f"| {action} | " + " | ".join(str(count[r]) for r in results) + " |")
+    for action in (*ACTIONS, FLIP):
+        if count := Counter(v.result for v in verdicts if v.case.action == action):
+            print(f"| {action} | " + " | ".join(str(count[r]) for r in results) + " |")
     errors = Counter(v.detail.split(":")[0] for v in verdicts if v.result == "named error")
     print("errors: " + (", ".join(f"{n} {name}" for name, n in errors.most_common()) or "none"), flush=True)
 
@@ -74,12 +76,12 @@ def table(verdicts: list[InjectionVerdict]) -> None:
 def messages(given: argparse.Namespace) -> int:
     """Every fault at every protocol step, for every driver: a named error or a recovery, a robot at rest, no hang, no wrong result.
 
-    A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate,
-    garbage, close. Afterwards the device must rest and the next driver must work. 'whole run' does the same to a run of a small plan:
-    its recording must be readable, and every centre in it that of the undisturbed run. Prints a table a driver, and every case that is
-    not good.
+    A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate, garbage,
+    close; with --flip one bit is flipped. Afterwards the device must rest and the next driver must work. 'whole run' does the same to a run
+    of a small plan: its recording must be readable, and every centre in it that of the undisturbed run. Prints a table a driver, and every
+    case that is not good.
     """
-    found = {name: examine(name, given.most, given.draw, given.seed) for name in given.only}
+    found = {name: examine(name, given.most, given.draw, given.seed, given.flip) for name in given.only}
     if given.json:
         given.json.write_text(
             json.dumps(

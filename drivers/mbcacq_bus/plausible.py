@@ -47,7 +47,13 @@ class Plausibility:
     def checked(
         self, device: str, values: dict[str, float], again: Callable[[], dict[str, float]], now: Callable[[], float]
     ) -> dict[str, float]:
-        """A reading, or that of ``again`` where it cannot follow the last one. Raises DeviceFault if the second cannot either."""
+        """A reading, or that of ``again`` if it cannot follow the last one. Raises DeviceFault if the second cannot either.
+
+        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong.
+        """
+        if not self._last and (self._max_rates or any(unit in _TEMPERATURES for unit in self._units.values())):
+            self.believe(values, now())
+            values = again()
         first = self.doubt(values, now())
         if first is not None:
             values = again()

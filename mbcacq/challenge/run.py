@@ -22,6 +22,7 @@ from mbcacq.effects.catalogue import declaration
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.json_text import fields_as_json, plain
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +91,6 @@ class Challenger:
             return simulated_cells.run(self.loaded, self.poses, scenario, injected, Path(temporary))
 
     def _keep(self, outcome: Outcome, observations) -> None:
-        from mbcacq.recording.datasets.observation_set import write_observation_set
-
         assert self.folder is not None, "only called where a folder is given"
         place = self.folder / f"{outcome.scenario.number:03d}"
         if not self.protocols:

@@ -15,6 +15,7 @@ from mbcacq.effects.support import with_drives_for
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
 from mbcacq.plan.routing import path_home
+from mbcacq.recording import load_observations
 
 Injected = list[dict[str, Any]]
 
@@ -57,7 +58,6 @@ def run(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path, noise_seed: int | None = None
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
-    from mbcacq.recording import load_observations
     from mbcacq.workflow.acquire import Acquisition
 
     secret = replace(

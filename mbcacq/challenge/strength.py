@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import Injected, observe
+from mbcacq.design.simulated_observations import planned_state
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.catalogue import declaration
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -29,8 +30,6 @@ class Gauge:
 
     @cached_property
     def screen(self) -> CandidateScoring:
-        from mbcacq.design.simulated_observations import planned_state
-
         quiet = Scenario(0, "none", 1, (), 1, 0.0)
         observations, _ = observe(self.loaded, self.poses, quiet, [])
         urad = self.loaded.plan.fake.get("repeatability_urad")

@@ -11,10 +11,10 @@ import click
 from mbcacq.cli.terminal import echo
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
+from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.motion_limits import T1_MM_S
 
 if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan, PlannedPose
     from mbcacq.plan.motion_preview import Swept
 
 

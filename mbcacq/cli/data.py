@@ -10,6 +10,7 @@ import click
 
 from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
+from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
     from mbcacq.camera.board import Board
@@ -66,7 +67,6 @@ class TableSaid:
 
     def options(self) -> TableOptions:
         """Raises ConfigError."""
-        from mbcacq.errors import ConfigError
         from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
         from mbcacq.recording.datasets.cell_yaml import robot_of
         from mbcacq.recording.datasets.loose_table import TableOptions
@@ -106,7 +106,6 @@ class BoardSaid:
     def shown(self) -> Board:
         """The board. Raises ConfigError where something must be said of it."""
         from mbcacq.camera.board import board_of
-        from mbcacq.errors import ConfigError
 
         if not (self.board and self.size and self.pitch):
             missing = [f"--{name}" for name in ("board", "size", "pitch") if not getattr(self, name)]
@@ -115,7 +114,6 @@ class BoardSaid:
 
     def read(self, files: tuple[Path, ...], options: TableOptions) -> UnderstoodTable:
         """The set of images. Raises ConfigError where something must be said of the board."""
-        from mbcacq.errors import ConfigError
         from mbcacq.recording.datasets.image_set import read_images
         from mbcacq.recording.datasets.loose_table import table_of
 

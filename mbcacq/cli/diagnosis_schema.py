@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from mbcacq.cli.declared import subcommand
 from mbcacq.cli.terminal import echo
+from mbcacq.diagnosis.schema import schema_text
 
 
 @subcommand("diagnosis-schema")
 def command() -> None:
     """Print the JSON Schema of what mbcacq diagnose --json prints, format mbcacq-diagnosis/3."""
-    from mbcacq.diagnosis.schema import schema_text
-
     echo(schema_text().rstrip("\n"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import command_line
+from mbcacq.errors import MbcacqError, command_line
 
 __all__ = ["command_line", "forget_failure", "on_failure", "put_to_use", "say_after_failure", "say_next"]
 
@@ -23,7 +23,6 @@ def say_next(what: str, command: str) -> None:
 def put_to_use(source: Path) -> tuple[str, str]:
     """What to do with a result in the end, and the command for it. source: its file, or the folder of it."""
     from mbcacq.calibration.result_io import export_command
-    from mbcacq.errors import MbcacqError
     from mbcacq.exports.result_json import load_result
 
     try:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.cli.declared import option
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from mbcacq.cli.step_progress import StepProgress
     from mbcacq.workflow.run import Operator
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import RecordingError
 from mbcacq.model.json_text import fields_as_json
@@ -29,7 +30,6 @@ def command(
     With --check nothing is written: each bit that changed since it was written is named by file, bytes and pose, and the command ends with
     exit code 6 if there is one.
     """
-    from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.recording.run_folder.recovery import recover
 
     end_in_order_on_signals("the recovery")

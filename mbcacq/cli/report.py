@@ -8,6 +8,7 @@ from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.errors import ConfigError
 
 
 @subcommand("report")
@@ -30,7 +31,6 @@ def command(
       mbcacq report ur5-tracker --diagnose --out ur5.html
     """
     import mbcacq
-    from mbcacq.errors import ConfigError
 
     if pdf and out is None and run.is_dir():
         out = run / "report.pdf"

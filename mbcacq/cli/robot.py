@@ -10,6 +10,8 @@ import click
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import significant
 
 
@@ -43,7 +45,6 @@ def import_(
       mbcacq robot import ur.xacro --arg ur_type=ur10e --package ur=../ur
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
-    from mbcacq.errors import ConfigError
     from mbcacq.model.robot_import import import_robot
 
     folders = {key: Path(value) for key, value in _pairs("--package", packages).items()}
@@ -72,7 +73,6 @@ def import_(
     target = out or Path(f"{file.stem.split('.')[0]}.yaml")
     if target.exists() and (not force or target.resolve() == file.resolve()):
         raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
-    from mbcacq.files.atomic_write import write_file
 
     write_file(target, found.text)
     about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
@@ -90,8 +90,6 @@ def import_(
 
 
 def _pairs(option: str, given: tuple[str, ...]) -> dict[str, str]:
-    from mbcacq.errors import ConfigError
-
     out = {}
     for pair in given:
         key, equals, value = pair.partition("=")

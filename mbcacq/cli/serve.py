@@ -7,7 +7,10 @@ from pathlib import Path
 import click
 
 from mbcacq.cli.declared import argument, option, subcommand
+from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import Aborted
+from mbcacq.serve.server import refuse_other_address, serve
 
 
 @subcommand("serve")
@@ -27,10 +30,6 @@ def command(
       mbcacq serve
       mbcacq serve runs --open
     """
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.errors import Aborted
-    from mbcacq.serve.server import refuse_other_address, serve
-
     refuse_other_address(host)
 
     def began(address: str) -> None:

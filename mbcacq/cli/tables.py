@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.result_io import ONE_VIEW, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
+from mbcacq.geometry import se3
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import (
     K,
@@ -26,6 +28,8 @@ from mbcacq.quantities import (
     symbol,
     uncertainty,
 )
+from mbcacq.report import judged
+from mbcacq.report.sources.images import camera_rows, image_rows
 
 
 def parameters(result: dict[str, Any]) -> Table:
@@ -125,8 +129,6 @@ def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> 
     std: (6,) standard deviations in mm and rad, None where held. Those of the rotation are about the frame's z, y, x axes, near enough to
     A, B, C for reading.
     """
-    from mbcacq.geometry import se3
-
     xyz, abc = se3.to_abc(np.array(T))
     for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
         table.add_column(f"{name} / {unit}", justify="right")
@@ -250,8 +252,6 @@ def length_instrument(result: dict[str, Any]) -> list[str]:
 
 def images(result: dict[str, Any]) -> list[str]:
     """The camera's intrinsics, and the reprojection error of each image."""
-    from mbcacq.report.sources.images import camera_rows, image_rows
-
     if not (seen := result.get("images")):
         return []
     errors = ", ".join(f"{name} {rms}" for name, _, rms, _, reason in image_rows(seen) if not reason)
@@ -260,8 +260,6 @@ def images(result: dict[str, Any]) -> list[str]:
 
 def clock(result: dict[str, Any]) -> list[str]:
     """Delay and drift of the clock of a scanner that measured in motion."""
-    from mbcacq.calibration.clock_term import clock_sentence
-
     found = result.get("clock")
     return [clock_sentence(found["delay_s"], found["delay_sigma_s"], found["drift"])] if found else []
 
@@ -358,8 +356,6 @@ def verification(v: dict[str, Any]) -> Table:
 
 def judgement(result: dict[str, Any]) -> list[str]:
     """The verdict in the words of the report, the budget that it rests on, and the places beyond their expected uncertainty."""
-    from mbcacq.report import judged
-
     verdict, budget, beyond = judged(result)
     out = [f"{verdict.headline}. {verdict.reason}"]
     if budget:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 ACTIONS = ("drop", "delay", "truncate", "duplicate", "garbage", "close")
+FLIP = "flip"  # one bit: what a checksum finds, and a line of text without one does not
 SHAPES = ("split", "join")  # the same bytes in other segments: on a stream no fault at all
 Sender = Literal["device", "driver"]
 DEVICE: Sender = "device"
@@ -22,8 +23,9 @@ Cut = Callable[[bytes], int]
 class Fault:
     """What happens to message ``index`` (from 0, of those that ``sender`` sends) and, with ``lasting``, all later ones.
 
-    drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first
-    half arrives, then the connection ends (a datagram is lost); split: byte by byte; join: in one segment with the next.
+    drop; delay by ``seconds``; truncate: the first half arrives; duplicate; garbage: random bytes of the same length; close: the first half
+    arrives, then the connection ends (a datagram is lost); flip: one bit of it, chosen at random; split: byte by byte; join: in one segment
+    with the next.
     """
 
     sender: Sender
@@ -33,8 +35,8 @@ class Fault:
     lasting: bool = False
 
     def __post_init__(self) -> None:
-        if self.action not in ACTIONS + SHAPES:
-            raise ValueError(f"there is no fault '{self.action}' (known: {', '.join(ACTIONS + SHAPES)})")
+        if self.action not in (known := (*ACTIONS, FLIP, *SHAPES)):
+            raise ValueError(f"there is no fault '{self.action}' (known: {', '.join(known)})")
 
     def concerns(self, sender: str, number: int) -> bool:
         """Whether it changes that message."""
@@ -84,9 +86,20 @@ class Channel:
         self._random = random.Random(seed)
         self._lock = threading.Lock()
 
-    def set(self, action: str, sender: Sender = DEVICE, *, lasting: bool = False, seconds: float = 1.0, index: int | None = None) -> None:
-        """By default to the next message of that sender."""
+    def set(
+        self,
+        action: str,
+        sender: Sender = DEVICE,
+        *,
+        lasting: bool = False,
+        seconds: float = 1.0,
+        index: int | None = None,
+        seed: int | None = None,
+    ) -> None:
+        """By default to the next message of that sender. seed: of what is drawn at random from here on."""
         with self._lock:
+            if seed is not None:
+                self._random.seed(seed)
             self.struck = 0
             self.fault = Fault(sender, self.count[sender] if index is None else index, action, seconds, lasting)
 
@@ -122,6 +135,11 @@ class Channel:
             "duplicate": lambda: [message, message],
             "garbage": lambda: [self._random.randbytes(len(message))],
             "close": lambda: [half, CLOSE],
+            FLIP: lambda: [self._flipped(message)],
             "split": lambda: [message[i : i + 1] for i in range(len(message))],
             "join": lambda: [],
         }[fault.action]()
+
+    def _flipped(self, message: bytes) -> bytes:
+        bit = self._random.randrange(8 * len(message))
+        return (int.from_bytes(message, "little") ^ 1 << bit).to_bytes(len(message), "little")

@@ -60,11 +60,11 @@ def cases(counts: dict[tuple[str, Sender], int], most: int = 24, actions: tuple[
                 yield Case(link, sender, index, action)
 
 
-def inject(bench: DriverBench, case: Case, delay_s: float = 1.0, *, waiting: bool = True) -> InjectionVerdict:
+def inject(bench: DriverBench, case: Case, delay_s: float = 1.0, *, waiting: bool = True, seed: int = 0) -> InjectionVerdict:
     """Connect, use twice, close, with that one fault; then look whether the device rests and the next driver works.
 
     waiting: the driver is given its short time limits, because it waits in vain. A fault that costs no waiting runs with the ordinary
-    limits, so that a busy computer adds no error of its own.
+    limits, so that a busy computer adds no error of its own. seed: of garbage, and of the bit that is flipped.
     """
     began = time.monotonic()
 
@@ -73,7 +73,7 @@ def inject(bench: DriverBench, case: Case, delay_s: float = 1.0, *, waiting: boo
 
     with bench.open() as stand:
         proxy = stand.proxies[case.link]
-        proxy.channel.set(case.action, case.sender, index=case.index, seconds=delay_s)
+        proxy.channel.set(case.action, case.sender, index=case.index, seconds=delay_s, seed=seed)
         try:
             error = outcome(str(case), lambda: _work(stand, **(stand.short_limits if waiting else {})), 3 * bench.limit_s)
         except Hang as hang:

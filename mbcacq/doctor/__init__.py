@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+from mbcacq.doctor import computer, devices, installed, network
 from mbcacq.doctor.line import CheckupLine, from_error
 
 if TYPE_CHECKING:
@@ -16,15 +17,11 @@ __all__ = ["CheckupLine", "checkup", "from_error"]
 def checkup(loaded: LoadedPlan | None, arm: bool = False, progress: Callable[[str], None] = lambda text: None) -> Iterator[CheckupLine]:
     """This computer; with a plan also its ports and its devices. arm: connect a robot too that is not on this computer's loopback, which
     can switch its drives on. progress: gets a sentence a step."""
-    from mbcacq.doctor import computer, installed, network
-
     progress("looking at this computer")
     yield from computer.lines()
     progress("looking at libraries and drivers")
     yield from installed.lines(loaded)
     if loaded is not None:
-        from mbcacq.doctor import devices
-
         progress("looking at ports and network")
         yield from network.lines(loaded)
         progress("asking the devices")

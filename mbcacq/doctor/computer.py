@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbcacq.doctor.line import CheckupLine
+from mbcacq.recording.viewer.vulkan import PACKAGE, has_vulkan, vulkan_drivers
 
 LIBRARIES = {  # distribution: module; None: only its presence is asked for
     "numpy": "numpy",
@@ -109,8 +110,6 @@ def _priority() -> CheckupLine:
 
 
 def _vulkan() -> CheckupLine:
-    from mbcacq.recording.viewer.vulkan import PACKAGE, has_vulkan, vulkan_drivers
-
     if has_vulkan():
         return CheckupLine("ok", "pictures", f"Vulkan drivers: {', '.join(vulkan_drivers()) or 'the system has its own'}")
     return CheckupLine("warning", "pictures", "no Vulkan driver: mbcacq view --screenshot will not work without a screen", PACKAGE)

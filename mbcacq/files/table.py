@@ -153,9 +153,9 @@ class Table:
         except ClockError as error:
             raise ConfigError(f"{self.where(error.row, name)}: '{_short(cells[error.row])}' {error}; correct it") from None
 
-    def numbers(self, names: Sequence[str], *, empty: float | None = None) -> np.ndarray:
-        """(rows, len(names)) of several columns."""
-        return np.stack([self.number(name, empty=empty) for name in names], axis=1)
+    def numbers(self, names: Sequence[str], *, empty: float | None = None, angle: bool = False) -> np.ndarray:
+        """(rows, len(names)) of several columns; angle: from deg to rad."""
+        return np.stack([self.radians(name) if angle else self.number(name, empty=empty) for name in names], axis=1)
 
     def integer(self, name: str) -> np.ndarray:
         """(rows,) int64. '3' and '3.0' are accepted, '3.5' is not."""
@@ -169,10 +169,6 @@ class Table:
     def radians(self, name: str) -> np.ndarray:
         """(rows,) float64 rad from a column in deg, where no schema says so."""
         return converted(self.number(name), "deg", "rad", self._decimals(name, self.text(name)))
-
-    def group(self, names: Sequence[str], *, angle: bool = False) -> np.ndarray:
-        """(rows, len(names)) of several columns; angle: from deg to rad."""
-        return np.stack([self.radians(name) if angle else self.number(name) for name in names], axis=1)
 
     def rest(self) -> dict[str, np.ndarray]:
         """The columns that were not read, as text with decimal points."""

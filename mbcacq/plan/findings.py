@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from mbcacq.model.json_text import AsJson
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
 Level = Literal["error", "warning", "info"]
+LEVELS = ("error", "warning", "info")  # the worst first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,29 +39,14 @@ def merged(findings: list[PlanFinding]) -> list[PlanFinding]:
     """Findings of one kind about one step as one: the first one's sentence, all poses; worst level first, then in the plan's order."""
     first: dict[tuple[str, str, str], PlanFinding] = {}
     for finding in findings:
-        key = (finding.level, finding.code, finding.step)
-        known = first.get(key)
-        first[key] = (
-            finding
-            if known is None
-            else PlanFinding(
-                level=known.level,
-                code=known.code,
-                step=known.step,
-                place=known.place,
-                sentence=known.sentence,
-                poses=known.poses + finding.poses,
-            )
-        )
-    order = {"error": 0, "warning": 1, "info": 2}
-    return sorted((_with_count(f) for f in first.values()), key=lambda f: order[f.level])
+        known = first.setdefault(key := (finding.level, finding.code, finding.step), finding)
+        if known is not finding:
+            first[key] = replace(known, poses=known.poses + finding.poses)
+    return sorted(map(_with_count, first.values()), key=lambda finding: LEVELS.index(finding.level))
 
 
 def _with_count(finding: PlanFinding) -> PlanFinding:
     more = len(finding.poses) - 1
     if more < 1:
         return finding
-    sentence = f"{finding.sentence} (and {more} more pose{'s' if more > 1 else ''} of this step)"
-    return PlanFinding(
-        level=finding.level, code=finding.code, step=finding.step, place=finding.place, sentence=sentence, poses=finding.poses
-    )
+    return replace(finding, sentence=f"{finding.sentence} (and {more} more pose{'s' if more > 1 else ''} of this step)")

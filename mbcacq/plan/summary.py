@@ -40,13 +40,7 @@ def summary(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Routes | N
             }
             for p, t, s in zip(poses, transits, starts, strict=True)
         ],
-        "duration": {
-            "total_s": total.total_s,
-            "motion_s": total.motion_s,
-            "settle_s": total.settle_s,
-            "exposure_s": total.exposure_s,
-            "station_changes": total.station_changes,
-        },
+        "duration": {name: getattr(total, name) for name in ("total_s", "motion_s", "settle_s", "exposure_s", "station_changes")},
         "axes": [axis.to_dict() for axis in axis_extremes(loaded, poses, transits)],
     }
 

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import finish_set
+
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
@@ -46,8 +49,6 @@ def load_observations(path: Path | str) -> Observations:
 
 
 def _load_observations(path: Path) -> Observations:
-    from mbcacq.errors import ConfigError
-    from mbcacq.files.atomic_write import finish_set
     from mbcacq.recording.run_folder.latest import refuse_plan
 
     if not path.exists():
@@ -101,7 +102,6 @@ def load_whole_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Tr
 
 
 def _load_trajectory(path: Path) -> Trajectory:
-    from mbcacq.errors import ConfigError
     from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
 
     if is_trajectory_set(path):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.report.paper import write_pdf
 
 if TYPE_CHECKING:
     from mbcacq.calibration.transfer import Transfer
@@ -57,7 +58,6 @@ def pdf_from_result(
     Raises ConfigError too where the libraries for it are missing.
     """
     from mbcacq.report.page import render
-    from mbcacq.report.paper import write_pdf
     from mbcacq.report.sources.from_result import content_of
 
     content = content_of(result, observations, run_info)
@@ -70,7 +70,6 @@ def write_check_page(kept: Mapping[str, Any], path: str | Path) -> Path:
     Raises ConfigError if the libraries for a PDF are missing, RecordingError if the file cannot be written.
     """
     from mbcacq.report.page import render_check
-    from mbcacq.report.paper import write_pdf
 
     if Path(path).suffix.lower() == ".pdf":
         return write_pdf(lambda: render_check(kept, paper=True), path)

@@ -5,14 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
+from mbcacq.report.charts import (
+    device_charts,
+    diagnosis_charts,
+    fleet_charts,
+    motion_charts,
+    parameter_charts,
+    part_charts,
+    residual_charts,
+    sphere_charts,
+    workspace_charts,
+)
 from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, Residuals
 from mbcacq.report.several import FleetContent
 
 
 def report_figures(content: Content) -> dict[str, Figure]:
     """Figures of a report without its diagnosis."""
-    from mbcacq.report.charts import parameter_charts, part_charts, residual_charts, sphere_charts, workspace_charts
-
     figures: dict[str, Figure] = {}
     if content.residuals is not None and len(content.residuals.xyz):
         figures |= _residual_figures(content.residuals)
@@ -37,8 +46,6 @@ def report_figures(content: Content) -> dict[str, Figure]:
 
 def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Figure]:
     """Figures of a diagnosis: evidence map, response curves, differences along covariates; each joint of each channel of a motion."""
-    from mbcacq.report.charts import diagnosis_charts, motion_charts
-
     figures: dict[str, Figure] = {}
     if diagnosis.evidence_map is not None:
         figures["evidence_map"] = diagnosis_charts.evidence_map(*diagnosis.evidence_map)
@@ -54,8 +61,6 @@ def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Figure]:
 
 def fleet_figures(fleet: FleetContent) -> dict[str, Figure]:
     """Figures of a fleet, for each type of arm: overview, drift over time, arms beside each other."""
-    from mbcacq.report.charts import fleet_charts
-
     figures: dict[str, Figure] = {}
     for k, kind in enumerate(fleet.types):
         if kind.charts:
@@ -66,8 +71,6 @@ def fleet_figures(fleet: FleetContent) -> dict[str, Figure]:
 
 
 def _residual_figures(residuals: Residuals) -> dict[str, Figure]:
-    from mbcacq.report.charts import residual_charts
-
     used = residuals.used()
     figures: dict[str, Figure] = {
         "pose": residual_charts.residual_per_pose(residuals),
@@ -84,8 +87,6 @@ def _residual_figures(residuals: Residuals) -> dict[str, Figure]:
 
 
 def _coverage_figures(coverage: Coverage) -> dict[str, Figure]:
-    from mbcacq.report.charts import workspace_charts
-
     figures: dict[str, Figure] = {} if coverage.q_deg is None else {"joints": workspace_charts.joint_coverage(coverage)}
     if coverage.flange is None:
         return figures
@@ -97,8 +98,6 @@ def _coverage_figures(coverage: Coverage) -> dict[str, Figure]:
 
 
 def _device_figures(devices: Devices) -> dict[str, Figure]:
-    from mbcacq.report.charts import device_charts
-
     figures: dict[str, Figure] = {}
     if devices.state_s:
         figures["states"] = device_charts.time_spent(devices.state_s)

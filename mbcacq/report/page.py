@@ -15,6 +15,11 @@ import numpy as np
 from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
+from mbcacq.report.charts import change_charts
+from mbcacq.report.charts.check_charts import check_figures
+from mbcacq.report.charts.spacing_svg import spacing_picture, stages_picture
+from mbcacq.report.charts.static_svg import static_svg
+from mbcacq.report.charts.style import PHASES, thinned
 from mbcacq.report.content import Content, DiagnosisContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.several import FleetContent, RunComparison
@@ -34,8 +39,6 @@ WHOLE_WIDTH_FIGURES = ("pose", "joints", "states", "correlation", "evidence_map"
 def render(content: Content, *, paper: bool = False) -> str:
     """HTML of a report. Every text is escaped; the plotting library is inlined once. paper: figures as pictures, and nothing that moves."""
     from markupsafe import Markup
-
-    from mbcacq.report.charts.spacing_svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
@@ -62,8 +65,6 @@ def render(content: Content, *, paper: bool = False) -> str:
 
 def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
     """SVG of the bar before calibration, after geometry, and after effects."""
-    from mbcacq.report.charts.spacing_svg import stages_picture
-
     stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
     expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))
     return stages_picture(with_effects.place, stages, expected)
@@ -72,8 +73,6 @@ def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
 def _scene(content: Content) -> Any:
     """What the view that turns draws, as JSON: points by phase and the arm, mm in the base; None where no ball has a place."""
     from markupsafe import Markup
-
-    from mbcacq.report.charts.style import PHASES, thinned
 
     coverage = content.coverage
     if coverage is None or coverage.balls is None or coverage.ball_phase is None:
@@ -109,9 +108,6 @@ def render_changes(changes: RunComparison, spacings: Sequence[tuple[str, Spacing
     """HTML of two recordings compared. spacings: the verification of each that has one, by its name."""
     from markupsafe import Markup
 
-    from mbcacq.report.charts import change_charts
-    from mbcacq.report.charts.spacing_svg import spacing_picture
-
     figures = {name: change_charts.changes(rows) for _, name, rows in changes.charts}
     pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in spacings]
     return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures, simulated=simulated)
@@ -119,8 +115,6 @@ def render_changes(changes: RunComparison, spacings: Sequence[tuple[str, Spacing
 
 def render_check(kept: Mapping[str, Any], *, paper: bool = False) -> str:
     """HTML of a check, of what it left in its folder."""
-    from mbcacq.report.charts.check_charts import check_figures
-
     figures = check_figures(dict(kept))
     drawn = static_figures(figures) if paper else _embedded(figures)
     return _template("check_page.html.j2", k=kept, changed=kept["verdict"] == "changed", figures=drawn, paper=paper)
@@ -162,8 +156,6 @@ def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:
     """Each figure as a picture of the width that it has on paper."""
 
     from markupsafe import Markup
-
-    from mbcacq.report.charts.static_svg import static_svg
 
     out = {}
     for name, figure in figures.items():

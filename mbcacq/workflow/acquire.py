@@ -24,7 +24,10 @@ from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import fields_as_json
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit, path
+from mbcacq.plan.motion_preview import Swept, refuse_unsafe, segments, swept
 from mbcacq.plan.routing import check_start, path_home
+from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
+from mbcacq.recording.run_folder.journal import Journal, recorded_facts
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
@@ -33,7 +36,6 @@ from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
 if TYPE_CHECKING:
-    from mbcacq.plan.motion_preview import Swept
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
     from mbcacq.workflow.corrected_targets import CorrectedTargets
 
@@ -68,8 +70,6 @@ def plan_acquisition(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: fro
 
     Raises ConfigError or SafetyStop where a limit, the workspace or a clearance would be broken anywhere on it.
     """
-    from mbcacq.plan.motion_preview import refuse_unsafe, segments
-
     last = next(p for p in reversed(poses) if p.number not in done)
     acquisition = Acquisition(
         loaded=loaded,
@@ -108,7 +108,6 @@ def recorded(
     """The bus of a run whose events are recorded in its folder, with the plan. shown: as ``Recorder`` takes it. The parts of a resumed run
     become one recording at its end."""
     from mbcacq.recording.rrd.writer import Recorder
-    from mbcacq.recording.run_folder.journal import Journal
     from mbcacq.recording.run_folder.recovery import WHOLE
 
     (folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
@@ -159,8 +158,6 @@ class Acquisition:
 
     def sweep(self) -> Swept:
         """The box that the arm will sweep, and its largest speed."""
-        from mbcacq.plan.motion_preview import segments, swept
-
         return swept(self.loaded, list(segments(self.loaded, self.poses, self.paths, self.path_home, self.done)))
 
     def execute(
@@ -177,8 +174,6 @@ class Acquisition:
         live: serve the recording on 127.0.0.1 while it grows. message: gets sentences for people, such as the address for the viewer.
         pause: asked before each pose.
         """
-        from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
-        from mbcacq.recording.run_folder.journal import recorded_facts
         from mbcacq.workflow.change_watch import ChangeWatch
 
         def gate(q: np.ndarray) -> None:

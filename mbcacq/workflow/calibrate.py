@@ -15,7 +15,9 @@ from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
+from mbcacq.calibration.cross_validation import held_out as cross_validate
 from mbcacq.calibration.result_io import joint_content as content_of_all
+from mbcacq.calibration.staged.angle_adjustment import LCurve
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.verification import Verification
@@ -23,9 +25,11 @@ from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.exports.result_json import load_result
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
 
@@ -285,9 +289,6 @@ def calibration_content(
 
     Raises CalibrationError, ConfigError.
     """
-    from mbcacq.calibration.cross_validation import held_out as cross_validate
-    from mbcacq.recording.run_folder.gaps import find_gaps
-
     if effects is not None and held_out is not None:
         raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
     observations = as_observations(data) if observations is None else observations
@@ -310,7 +311,6 @@ def limit_of(run: Path) -> float | None:
     """The limit of the sphere spacing error, mm, that a run was judged by; None where it has none."""
     if not (run / "result.json").is_file():
         return None
-    from mbcacq.exports.result_json import load_result
 
     return (load_result(run).get("verification") or {}).get("limit_mm")
 
@@ -321,8 +321,6 @@ def joint_content(
     """Calibrate several recordings of one arm together and verify each; content of format 'mbcacq-joint-result/1', with 'verification' and
     'gaps' in the result of each. Raises CalibrationError, ConfigError.
     """
-    from mbcacq.recording.run_folder.gaps import find_gaps
-
     cells = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
     content = content_of_all([cell.to_dict() for cell in cells], [str(path) for path in data])
     for path, cell, one in zip(data, cells, content["recordings"], strict=True):
@@ -333,8 +331,6 @@ def joint_content(
 
 def draw_l_curve(content: dict[str, Any], path: Path) -> None:
     """The L-curve of a staged calibration as an HTML page. Raises ConfigError where the method has none."""
-    from mbcacq.calibration.staged.angle_adjustment import LCurve
-
     curve = next((s["l_curve"] for s in content.get("stages", ()) if "l_curve" in s), None)
     if curve is None:
         raise ConfigError("there is no L-curve: it belongs to the angle adjustment of --method paper")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.report.page import render_changes
 from mbcacq.report.several import RunComparison
 from mbcacq.report.sources.from_result import spacing_of
 from mbcacq.workflow.compare_runs import best_result
@@ -17,8 +18,6 @@ def write_page(found: RunComparison, path: Path | str, results: tuple[Mapping[st
 
     Raises RecordingError where it cannot be written.
     """
-    from mbcacq.report.page import render_changes
-
     both = results or tuple(best_result(Path(name)) for name in found.names)
     spacings = [(name, spacing) for name, result in zip(found.names, both, strict=True) if (spacing := spacing_of(result)) is not None]
     return write_file(path, render_changes(found, spacings, simulated=any(result.get("simulated") for result in both)))

@@ -9,6 +9,7 @@ from pathlib import Path
 from mbcacq.acquisition.collected.collected_run import CollectedPose, CollectedRun
 from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, expand
+from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.run_plan import plan_files_text
@@ -114,8 +115,6 @@ def collect(
 
 
 def _record(found: PairedClouds, folder: Path, part: int, done: frozenset[int], operator: Operator) -> None:
-    from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
-
     session, collected = found.session, found.poses
     loaded = session.loaded
     simulated = any(says_simulated(path) for here in collected for path in here.clouds[:1])

@@ -16,6 +16,7 @@ from mbcacq.calibration.result_file import result_of
 from mbcacq.calibration.result_io import effects_of, without_prior
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.errors import ConfigError
+from mbcacq.exports.result_json import load_result
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
@@ -67,8 +68,6 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
 
 def best_result(path: Path) -> dict[str, Any]:
     """The best result of a run: with effects, where there is one."""
-    from mbcacq.exports.result_json import load_result
-
     with_effects = path / "with-effects" / "result.json"
     return load_result(with_effects if with_effects.is_file() else path)
 

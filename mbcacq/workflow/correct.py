@@ -13,6 +13,8 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
+from mbcacq.exports.programs import LANGUAGES, read_program
+from mbcacq.exports.programs.points_csv import read_points
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import AsJson, FilePath, keyed
 from mbcacq.quantities import in_degrees
@@ -200,9 +202,6 @@ def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
 
 def _points(path: Path, n: int) -> _Points:
     """The points of a file. Raises ConfigError naming file and line."""
-    from mbcacq.exports.programs import LANGUAGES, read_program
-    from mbcacq.exports.programs.points_csv import read_points
-
     suffix = path.suffix.lower()
     if suffix in LANGUAGES:
         program, encode = read_program(path, n)

@@ -16,6 +16,7 @@ from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects, effe
 from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
+from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.executor import cores
 from mbcacq.diagnosis.given_effects import PosesGiven, evidence_given
 from mbcacq.diagnosis.motion.combine import PosesAndMotion
@@ -27,6 +28,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import FileRead, Provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -49,8 +51,6 @@ class Question:
 
 def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
-    from mbcacq.diagnosis.diagnose import diagnose
-
     motions = as_trajectories([one for one in data if is_trajectory(one) and not isinstance(one, Observations)])
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
     for motion in motions:
@@ -205,8 +205,6 @@ def diagnose_motion(
 
 def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
-    from mbcacq.diagnosis.diagnose import diagnose
-
     refit = partial(fitted_model, observations) if fitted else None
     with likely_cause_named(observations):
         found = diagnose(
@@ -249,6 +247,4 @@ def combined_with_motion(found: DiagnosisResult, recording: Path, how: Question)
 
 
 def is_trajectory(data: Data) -> bool:
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
-
     return isinstance(data, Trajectory) or (isinstance(data, Path | str) and is_trajectory_set(data))

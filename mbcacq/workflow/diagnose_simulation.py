@@ -11,6 +11,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.simulation.simulated_sets import observations_against, trajectory_against
 from mbcacq.workflow.diagnose_recordings import Data, Question, checked, diagnose_poses, is_trajectory, provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
@@ -71,7 +72,6 @@ def _motion_against_model(recorded: Sequence[Data], model: Path, how: Question) 
 
 def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], how: Question) -> DiagnosisResult:
     from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-    from mbcacq.simulation.simulated_sets import trajectory_against
 
     if how.check:
         raise ConfigError("a simulated set knows its own motion alone; give a model file to --simulation, or leave --check out")
@@ -102,8 +102,6 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
 
 
 def _poses_against_set(recorded: Sequence[Data], simulated: Sequence[Data], how: Question) -> DiagnosisResult:
-    from mbcacq.simulation.simulated_sets import observations_against
-
     if how.check:
         raise ConfigError("a simulated set knows its own poses alone; give a model file to --simulation, or leave --check out")
     observations = observations_against(_one_of_poses(recorded), _one_of_poses(simulated))

@@ -15,15 +15,23 @@ from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, GivenEvidence
 from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
+from mbcacq.diagnosis.motion.text import brief_details, motion_details, motion_in_brief, motion_text
+from mbcacq.diagnosis.output.brief import brief
+from mbcacq.diagnosis.output.text import first_sentence, words
 from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure
 from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
+from mbcacq.report import write_diagnosis_page
+from mbcacq.report.figures import diagnosis_figures
+from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_motion import motion_pictures
 from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
+from mbcacq.workflow.effect_draft import write_draft
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -108,8 +116,6 @@ class DiagnosisResult:
         ConfigError
             No formula was found, or the folder holds something already.
         """
-        from mbcacq.workflow.effect_draft import write_draft
-
         return write_draft(self.proposals, Path(folder))
 
     @property
@@ -132,10 +138,6 @@ class DiagnosisResult:
         str
             Several lines.
         """
-        from mbcacq.diagnosis.motion.text import brief_details, motion_details, motion_in_brief, motion_text
-        from mbcacq.diagnosis.output.brief import brief
-        from mbcacq.diagnosis.output.text import first_sentence, words
-
         if self.motion is not None and self.simulation is not None and self.simulation.verdict is not None:
             details = motion_details(self.motion) if whole else "\n".join(brief_details(self.motion))
             return "\n".join([first_sentence(self.motion), self.simulation.text, "", HOW_LOCATED, "", details])
@@ -166,8 +168,6 @@ class DiagnosisResult:
             raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
         drawn = pictures(self.poses)
         if self.motion is not None:
-            from mbcacq.report.sources.from_motion import motion_pictures
-
             drawn["motion"] = motion_pictures(self.motion)
         return drawn
 
@@ -189,9 +189,6 @@ class DiagnosisResult:
         ConfigError
             There is no such curve, or as ``pictures``.
         """
-        from mbcacq.report.figures import diagnosis_figures
-        from mbcacq.report.sources.from_diagnosis import diagnosis_content
-
         pictures = self.pictures()
         figures = {} if self.poses is None else diagnosis_figures(diagnosis_content(self.poses, pictures))
         name = "evidence_map" if curve is None else f"response_{curve}"
@@ -217,8 +214,6 @@ class DiagnosisResult:
         ConfigError
             The diagnosis was read from JSON.
         """
-        from mbcacq.report import write_diagnosis_page
-
         pictures = None if self.poses is None else self.pictures()
         return write_diagnosis_page(self.poses, pictures, path, about=self._about(), motion=self.both or self.motion, checks=self.checks)
 

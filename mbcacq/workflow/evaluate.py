@@ -18,6 +18,10 @@ from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.report import write_report_page
+from mbcacq.report.cards import verdict_card
+from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import as_observations
 
@@ -101,11 +105,8 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
-    from mbcacq.recording.run_folder.gaps import find_gaps
     from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report import write_report_page
     from mbcacq.report.sources.from_result import content_of
-    from mbcacq.report.sources.run_folder import read_run_info
 
     progress("reading the recording")
     observations = as_observations(run)
@@ -144,7 +145,6 @@ def show_in_viewer(run: Path, observations: Observations, calibration: Calibrate
     itself). Raises RecordingError.
     """
     from mbcacq.recording.rrd.result_recording import Judgement, log_result
-    from mbcacq.report.cards import verdict_card
 
     judgement = Judgement(text=verdict_card(page))
     if (s := page.spacing) is not None:

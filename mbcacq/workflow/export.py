@@ -8,10 +8,15 @@ from typing import Any
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
+from mbcacq.exports.certificate import read_certificate_file
 from mbcacq.exports.folder import contents, write_folder
 from mbcacq.exports.format import Targets
+from mbcacq.exports.result_json import load_result
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
+from mbcacq.recording.datasets.observation_set import write_observation_set
+from mbcacq.recording.rrd import layout
 from mbcacq.workflow.load import load_observations, refuse_existing
 
 Source = CalibratedCell | Observations | Path | str
@@ -82,9 +87,6 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
 
     Raises ConfigError for a damaged certificate or where the file exists, RecordingError if it cannot be written.
     """
-    from mbcacq.exports.certificate import read_certificate_file
-    from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
-
     output = Path(out) if out is not None else Path(f"{artefact_id}.yaml")
     refuse_existing(output, force, f"{output} exists; give another --output, or --force to replace it")
     certified = read_certificate_file(Path(certificate), artefact_id)
@@ -95,8 +97,6 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
 
 
 def _results(source: Source, folder: Path, targets: Targets, force: bool, simulated_anyway: bool) -> Iterator[dict[str, Any]]:
-    from mbcacq.exports.result_json import load_result
-
     measured = None
     if isinstance(source, CalibratedCell):
         result = source.to_dict()
@@ -123,14 +123,10 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
 
 def _holds_observations(path: Path) -> bool:
     """Whether a folder is a run or an observation set; one of a result alone has no residuals to write."""
-    from mbcacq.recording.rrd import layout
-
     return path.is_dir() and (bool(layout.parts(path)) or (path / "cell.yaml").exists())
 
 
 def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:
-    from mbcacq.recording.datasets.observation_set import write_observation_set
-
     if isinstance(source, CalibratedCell):
         measured = source.fit.observations
     else:

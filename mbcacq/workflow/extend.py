@@ -15,6 +15,8 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.plan.growth import grown
+from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.recording.run_folder.progress import poses_done
 from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.dry_run import name_of
 from mbcacq.workflow.evaluate import RunResult
@@ -121,8 +123,6 @@ def _second_placement(linear: LinearProblem, noise: Noise, new: np.ndarray) -> t
 
 
 def _measured(folder: Path) -> frozenset[int]:
-    from mbcacq.recording.run_folder.progress import poses_done
-
     try:
         return poses_done(folder)
     except RecordingError as error:
@@ -131,7 +131,5 @@ def _measured(folder: Path) -> frozenset[int]:
 
 def _ended_well(folder: Path) -> bool:
     """Whether the last recording of a run ended as planned; poses may be missing that showed too few balls."""
-    from mbcacq.recording.run_folder.journal import read_journal
-
     ends = [entry.get("exit_status") for entry in read_journal(folder) if entry.get("event") == "run_stopped"]
     return bool(ends) and ends[-1] == "success"

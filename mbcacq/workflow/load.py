@@ -14,6 +14,8 @@ from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory, moves
 from mbcacq.recording import load_observations
+from mbcacq.recording.rrd import layout
+from mbcacq.workflow.part_scenes import scenes_as_observations
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -85,8 +87,6 @@ def recorded_moves(recording: Path) -> list[Trajectory]:
 
 def is_run_folder(path: Path) -> bool:
     """Whether this is the folder of a run, where results and diagnoses are kept with the recording."""
-    from mbcacq.recording.rrd import layout
-
     return path.is_dir() and bool(layout.parts(path))
 
 
@@ -103,7 +103,6 @@ def as_observations(data: Observations | Path | str) -> Observations:
     found = load_observations(data)
     if found.n_centres or not any(artefact.is_part for artefact in found.cell.artefacts):
         return found
-    from mbcacq.workflow.part_scenes import scenes_as_observations
 
     return scenes_as_observations(Path(data), found)
 

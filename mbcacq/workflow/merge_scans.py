@@ -15,6 +15,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
+from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.parts.agreement import Agreement, agreement
 from mbcacq.parts.cad import CadDeviations, compare_with_cad
@@ -150,7 +151,6 @@ def merge_scans(
 
 def _planned_place(source: Path, station: str) -> np.ndarray:
     """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
-    from mbcacq.model import yaml12
     from mbcacq.plan.schema import StationPlace
 
     text = source / "plan.yaml"

@@ -16,6 +16,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, load
+from mbcacq.recording.run_folder.run_plan import read_kept_plan
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_plan
 
@@ -161,8 +162,6 @@ def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
 
 def plan_of_recording(folder: Path) -> LoadedPlan:
     """The plan that a run folder was recorded with, as it is kept there. Raises ConfigError where there is none."""
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan
-
     if not folder.is_dir():
         raise ConfigError(f"{folder} is no run folder, which would say what can be measured next; give the folder of a run, or a plan")
     kept = read_kept_plan(folder)

@@ -13,6 +13,7 @@ from mbcacq.parts.observations import observations_of_parts
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.parts.scene import register
+from mbcacq.spheres.cloud_files import SUFFIXES, read_points
 
 
 def scenes_as_observations(source: Path, obs: Observations) -> Observations:
@@ -76,8 +77,6 @@ def _of_run(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
 
 
 def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
-    from mbcacq.spheres.cloud_files import SUFFIXES, read_points
-
     for number, q in of_pose.items():
         for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
             if path.is_file():

@@ -13,9 +13,14 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.calibration.workspace_accuracy import accuracy_map
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.exports.result_json import load_result
 from mbcacq.model.observations import Observations
+from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.run_folder.register import RunKind, kind_of
+from mbcacq.report import pdf_from_result, report_from_result, write_check_page
+from mbcacq.report.sources.check_result import read_check_result
+from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
 from mbcacq.workflow.load import as_observations, is_run_folder, unsealed_note
 
@@ -63,9 +68,6 @@ def write_report(
         refuse_plan(run)
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
     if run is not None and run.is_dir() and kind_of(run) is RunKind.CHECK and not (run / "result.json").exists():
-        from mbcacq.report import write_check_page
-        from mbcacq.report.sources.check_result import read_check_result
-
         with write_lock(run, "report"):
             return write_check_page(read_check_result(run), run / "report.html" if out is None else out)
     with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext(), opened_once():
@@ -76,8 +78,6 @@ def _write(
     data: CalibratedCell | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
 ) -> Path:
     """The report; whoever calls holds the lock of the run folder."""
-    from mbcacq.report import pdf_from_result, report_from_result
-
     progress("reading the recording")
     observations = data.fit.observations if isinstance(data, CalibratedCell) else as_observations(data)
     result = _result(data, observations, progress)
@@ -97,8 +97,6 @@ def _write(
 
 def _result(data: CalibratedCell | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:
     """The content of result.json with 'accuracy_map': the one that is kept in a run folder, or computed."""
-    from mbcacq.exports.result_json import load_result
-
     kept = None
     if not isinstance(data, CalibratedCell) and Path(data).is_dir() and (Path(data) / "result.json").exists():
         kept = load_result(Path(data))
@@ -115,14 +113,10 @@ def _result(data: CalibratedCell | Path | str, observations: Observations, progr
 
 
 def _about(run: Path) -> dict[str, Any]:
-    from mbcacq.report.sources.run_folder import read_run_info
-
     return {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
 
 
 def _gaps(run: Path) -> list[str]:
-    from mbcacq.recording.run_folder.gaps import find_gaps
-
     return find_gaps(run)
 
 

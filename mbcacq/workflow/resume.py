@@ -12,6 +12,8 @@ import numpy as np
 from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.recording.run_folder.progress import Progress, repair_and_read_progress
+from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.load import load_observations
 
 if TYPE_CHECKING:
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
 
 def new_progress() -> Progress:
     """The progress of a run that begins: no pose is measured."""
-    from mbcacq.recording.run_folder.progress import Progress
-
     return Progress(frozenset(), 0, {})
 
 
@@ -31,9 +31,6 @@ def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
-    from mbcacq.recording.run_folder.progress import repair_and_read_progress
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
-
     progress = repair_and_read_progress(folder)
     kept = read_kept_plan(folder)
     if loaded.grown_from is None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import effects_of, state_from_dict
+from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
@@ -18,6 +19,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, path, refuse_errors
+from mbcacq.workflow.acquire import solver_cell
 from mbcacq.workflow.load import as_plan, as_result
 
 
@@ -63,9 +65,7 @@ def simulate_poses(
     that is written has no placements of stations, as in a run. It states the scatter of a centre, for a solver that has no scatter to
     estimate it from. Raises ConfigError where result and plan do not match.
     """
-    from mbcacq.design.simulated_observations import planned_observations
     from mbcacq.plan.summary import summary
-    from mbcacq.workflow.acquire import solver_cell
 
     starts = {p["pose"]: p["start_s"] for p in summary(loaded, poses)["poses"]}
     blank = planned_observations(loaded, poses, path(loaded, poses), [starts[p.number] for p in poses])
@@ -91,8 +91,6 @@ def predicted(obs: Observations, state: CellState, effects: EffectModel | None) 
 
 def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
     """The calibrated cell with every station of the plan at a place; nominal where there is no result. Raises ConfigError."""
-    from mbcacq.design.simulated_observations import planned_state
-
     planned = planned_state(loaded)
     if result is None:
         return planned
@@ -103,8 +101,6 @@ def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
 
 
 def _noise(loaded: LoadedPlan, poses: Sequence[PlannedPose], result: dict[str, Any] | None) -> Noise:
-    from mbcacq.design.simulated_observations import planned_noise
-
     stated = planned_noise(loaded, poses)
     found = (result or {}).get("noise")
     if not found:

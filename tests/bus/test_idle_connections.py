@@ -5,6 +5,7 @@ import time
 
 import pytest
 from late_peers import Clock, IdleCloser, LatePeer, line_cut, rtu_cut, rtu_registers
+from mbcacq_bus import serial_link
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.serial import SerialSensor
@@ -83,7 +84,8 @@ def test_a_sensor_is_read_after_an_hour(clock, rtu):
             assert sensor.read() == pytest.approx({"air_C": 21.5})
 
 
-def test_a_line_of_text_is_used_after_an_hour(clock):
+def test_a_line_of_text_is_used_after_an_hour(clock, monkeypatch):
+    monkeypatch.setattr(serial_link, "_QUIET", 0.01)  # it waits long for an answer, and not so long for silence
     said = {b"GO 5": b"OK\n", b"GO 7": b"OK\n", b"READY?": b"1\n", b"T?": b"T=21\n"}
     with IdleCloser(lambda request: said[request.strip()], line_cut, clock) as peer:
         options = {

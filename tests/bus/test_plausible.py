@@ -107,7 +107,7 @@ def test_a_line_whose_values_change_places_is_refused_after_a_second_look(ask, p
 
 
 def test_one_line_out_of_place_is_read_again_and_a_jump_beyond_max_rate_is_refused(patient):
-    answers = iter(["T=21.0 R=30.0"] * 3 + ["T=30.0 R=21.0", "T=21.0 R=30.1", "T=26.5 R=30.1", "T=26.5 R=30.1"])
+    answers = iter(["T=21.0 R=30.0"] * 4 + ["T=30.0 R=21.0", "T=21.0 R=30.1", "T=26.5 R=30.1", "T=26.5 R=30.1"])
     with FakeSerialSensor(lambda: "") as fake:
         fake._answer, fake.silent = lambda heard: next(answers), True
         spec = {**patient, "port": fake.url, "ask": "READ?\n"}
@@ -119,3 +119,13 @@ def test_one_line_out_of_place_is_read_again_and_a_jump_beyond_max_rate_is_refus
                 sensor.read()
     with pytest.raises(ConfigError, match="max_rate names 'oil_C', which line does not"):
         SerialSensor("s", "", {**spec, "max_rate": {"oil_C": 1.0}})
+
+
+def test_a_very_first_reading_with_a_flipped_bit_is_read_again(patient):
+    """21.0 with one bit flipped is 01.0; without a reading before it nothing else could tell."""
+    answers = iter(["T=01.0 R=30.0", "T=21.0 R=30.0", "T=21.0 R=30.0", "T=21.1 R=30.0"])
+    with FakeSerialSensor(lambda: "") as fake:
+        fake._answer, fake.silent = lambda heard: next(answers), True
+        with SerialSensor("s", "", {**patient, "port": fake.url, "ask": "READ?\n", "units": {"air_C": "C"}}) as sensor:
+            assert sensor.read() == {"air_C": 21.0, "robot_C": 30.0}
+            assert sensor.read() == {"air_C": 21.1, "robot_C": 30.0}

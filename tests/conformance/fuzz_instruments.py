@@ -161,7 +161,7 @@ def tracker_log(path: Path) -> object:
     """The log of an instrument, as ``data merge`` takes it."""
     table = _read(path, {})
     seen = _target(table)
-    return _log(table, table.group(seen.translation) * (seen.with_units(table).length or 1.0), False)
+    return _log(table, table.numbers(seen.translation) * (seen.with_units(table).length or 1.0), False)
 
 
 def range_maps() -> tuple[bytes, ...]:

@@ -193,6 +193,17 @@ def test_garbage_has_the_same_length_and_the_same_seed_gives_the_same():
     assert one.pass_on("device", b"next") == [b"next"]
 
 
+def test_a_flipped_bit_is_one_bit_and_another_seed_flips_another():
+    flipped = []
+    for seed in range(20):
+        channel = Channel("a")
+        channel.set("flip", seed=seed)
+        (message,) = channel.pass_on("device", b"21.5 C\n")
+        flipped.append(int.from_bytes(message, "big") ^ int.from_bytes(b"21.5 C\n", "big"))
+    assert {bits.bit_count() for bits in flipped} == {1}
+    assert len(set(flipped)) > 10
+
+
 @needs_terminal
 def test_datagrams_and_serial_lines_pass_too():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:

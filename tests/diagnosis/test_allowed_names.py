@@ -7,6 +7,7 @@ import pytest
 import simulated
 import yaml
 
+from mbcacq.calibration.calibrate import calibrate_with_effects
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.support import refusal
@@ -22,14 +23,15 @@ def small():
 
 
 def test_a_geared_joint_has_no_scale_and_what_looks_like_one_is_unmodelled_there(small):
-    found = diagnose(simulated.observe(small, 55, SCALE, drives=False))
+    recorded = simulated.observe(small, 55, SCALE, drives=False)
+    found = diagnose(recorded)
     assert [(e.name, e.where, e.depends_on) for e in found.effects] == [("unknown", ("A5",), "q5")]
     (said,) = [note for note in found.notes if note.startswith("joint_scale at A5")]
     assert "0.000" in said
     assert "refused as a name: the robot file states no drive of the joint" in said
-    (kept,) = found.model.terms
-    assert (kept.name, kept.where) == ("unknown", ("A5",))
-    assert kept.coefficients == pytest.approx([4e-4], abs=5e-5)
+    assert {(kept.name, kept.where, kept.depends_on) for kept in found.model.terms} == {("unknown", ("A5",), "q5")}
+    moved = calibrate_with_effects(recorded, None, found.model).effects.displacements(recorded).joint[:, 4]
+    assert np.polyfit(recorded.q[:, 4], moved, 1)[0] == pytest.approx(4e-4, abs=5e-5)
 
 
 def test_a_belt_permits_the_name(small):

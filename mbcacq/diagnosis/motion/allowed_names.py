@@ -23,7 +23,8 @@ def refused_name(fit: MotionFit, effect: FittedEffect, runs: Sequence[MotionSign
     robot = runs[0].robot
     if robot is not None and (without := joints_without_drive(candidate, robot)):
         return f"{without}, and {declared.without_drive}"
-    values, stds = next(iter(effect.parameters.values())).components if effect.parameters else ((0.0,), (0.0,))
+    parameters = effect.found.parameters
+    values, stds = next(iter(parameters.values())).components if parameters else ((0.0,), (0.0,))
     if candidate.positive and values[0] < -K * stds[0]:
         return "it cannot be negative"
     if not declared.dissipative:

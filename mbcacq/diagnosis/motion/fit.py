@@ -49,13 +49,6 @@ class FittedEffect:
     gain: np.ndarray
     contributions: ByRun
 
-    @property
-    def parameters(self) -> Parameters:
-        return self.found.parameters
-
-    def with_parameters(self, parameters: Parameters) -> FittedEffect:
-        return replace(self, found=replace(self.found, parameters=parameters))
-
 
 @dataclass(frozen=True)
 class MotionFit:
@@ -183,7 +176,8 @@ def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[Fit
     if sets is None or not sets.significant:
         return effects
     between = BetweenSets.of(sets)
-    return [e.with_parameters(between.averaged([e.candidate.label], e.parameters)) for e in effects]
+    each = ((e, between.averaged([e.candidate.label], e.found.parameters)) for e in effects)
+    return [replace(e, found=replace(e.found, parameters=parameters)) for e, parameters in each]
 
 
 def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:

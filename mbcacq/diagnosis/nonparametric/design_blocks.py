@@ -114,16 +114,14 @@ class DesignBlocks:
 
     def candidate(self, number: int) -> Candidate:
         """One of the blocks as an effect of a set, the same at every call."""
-        if number not in self._candidates:
+
+        def made() -> Candidate:
             block = self.blocks[number]
             parts = block.location.described(block.rows, block.shape.columns)
             weight = np.tile(block.shape.weight, len(block.rows))
-            self._candidates[number] = unmodelled_candidate(block.at, block.shape.depends_on, parts, weight, f"block {number}")
-        return self._candidates[number]
+            return unmodelled_candidate(block.at, block.shape.depends_on, parts, weight, f"block {number}")
 
-    @cached_property
-    def _candidates(self) -> dict[int, Candidate]:
-        return {}
+        return self.context.computed_once(("block", number), made)
 
 
 def unmodelled_candidate(at: str, depends_on: str, parts: Sequence[DescribedPart], weight: np.ndarray, variant: str) -> Candidate:

@@ -23,6 +23,7 @@ from mbcacq.model.yaml_source import LARGE, parse
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.open_format import validate
+from mbcacq.spheres import find_spheres
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
@@ -321,18 +322,14 @@ def _measured_targets(bag: Bag, spec: BagSpec, others: set[str]) -> Iterator[tup
 def _target(message: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Position (3,) m and quaternion (4,) w, x, y, z of a stamped point, pose or transform."""
     if hasattr(message, "point"):
-        return _vector(message.point), None
+        return _array(message.point, "xyz"), None
     if hasattr(message, "pose"):
-        return _vector(message.pose.position), _quaternion(message.pose.orientation)
-    return _vector(message.transform.translation), _quaternion(message.transform.rotation)
+        return _array(message.pose.position, "xyz"), _array(message.pose.orientation, "wxyz")
+    return _array(message.transform.translation, "xyz"), _array(message.transform.rotation, "wxyz")
 
 
-def _vector(v: Any) -> np.ndarray:
-    return np.array([v.x, v.y, v.z], dtype=float)
-
-
-def _quaternion(q: Any) -> np.ndarray:
-    return np.array([q.w, q.x, q.y, q.z], dtype=float)
+def _array(message: Any, names: str) -> np.ndarray:
+    return np.array([getattr(message, name) for name in names], dtype=float)
 
 
 def _never_turned(turns: dict[int, list[np.ndarray]]) -> bool:
@@ -347,8 +344,6 @@ def _mean_turn(turns: list[np.ndarray]) -> np.ndarray:
 
 def _clouds(bag: Bag, spec: BagSpec, cell: Cell, states: JointStates, windows: list[slice]) -> dict[str, Any]:
     """Centres of the balls in the last cloud of each standstill."""
-    from mbcacq.spheres import find_spheres
-
     if spec.point_cloud is None:
         raise ConfigError(f"{bag.path}: cell.yaml names neither a target nor a point_cloud under bag:; add the topic that was measured")
     last: dict[int, np.ndarray] = {}

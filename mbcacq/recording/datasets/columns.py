@@ -140,9 +140,9 @@ def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -
     if unit is None and all(name.strip().lower().startswith((RTDE_JOINT, "field.")) for name in joints):
         unit = "rad"
     if unit is None:
-        unit = "rad" if np.abs(table.group(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
+        unit = "rad" if np.abs(table.numbers(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
     in_deg = ANGLES[unit] == ANGLES["deg"]
-    return table.group(joints, angle=True) if in_deg else table.group(joints)
+    return table.numbers(joints, angle=True) if in_deg else table.numbers(joints)
 
 
 def names_poses(headings: Sequence[str]) -> bool:

@@ -30,16 +30,16 @@ def read(table: Table, size: int) -> np.ndarray | None:
     ros = [f"cov_{k}" for k in range(36)]
     if any(name in table.columns for name in sigmas):
         table.require(sigmas)
-        sigma = table.group(sigmas) * np.where(np.arange(size) < 3, 1.0, DEGREE)
+        sigma = table.numbers(sigmas) * np.where(np.arange(size) < 3, 1.0, DEGREE)
         C = sigma[:, :, None] ** 2 * np.eye(size)
     elif table.has(ros):
         unit = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
-        C = (table.group(ros).reshape(-1, 6, 6) * unit[:, None] * unit)[:, :size, :size]
+        C = (table.numbers(ros).reshape(-1, 6, 6) * unit[:, None] * unit)[:, :size, :size]
     elif any(name in table.columns for name in _names(size)):
         table.require(_names(size))
         i, j = np.triu_indices(size)
         C = np.zeros((len(table), size, size))
-        C[:, i, j] = C[:, j, i] = table.group(_names(size))
+        C[:, i, j] = C[:, j, i] = table.numbers(_names(size))
     else:
         return None
     _refuse_singular(table, C)
@@ -53,7 +53,7 @@ def read_shared(table: Table, size: int) -> np.ndarray | None:
         return None
     names = [f"shared_{k + 1}_{axis}" for axis in AXES[:size] for k in range(count)]
     table.require(names)
-    return table.group(names).reshape(-1, size, count)
+    return table.numbers(names).reshape(-1, size, count)
 
 
 def shared_columns(shared: np.ndarray) -> dict[str, Sequence[str]]:

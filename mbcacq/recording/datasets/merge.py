@@ -87,7 +87,7 @@ def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: Res
     if seen.length is None and (unit := unit_above(second)):
         seen = replace(seen, length=LENGTHS[unit])
     log_a, said_a = _log(first, moving, hand is None)
-    log_b, said_b = _log(second, second.group(seen.translation) * (seen.with_units(second).length or 1.0), False)
+    log_b, said_b = _log(second, second.numbers(seen.translation) * (seen.with_units(second).length or 1.0), False)
     delay = clock_delay(log_a.time_s, log_a.value, log_b.time_s, log_b.value, str(measured))
     stands = standstills(log_a.time_s, log_a.value, STILL[log_a.kind], still)
     if not stands:
@@ -240,7 +240,7 @@ def _arm(table: Table) -> tuple[PoseHeadings | None, np.ndarray]:
             f"{table.path}:{table.heading_line}: no columns give joint angles or the pose of the flange (the header has: "
             f"{', '.join(table.columns)}); name them q1_deg .. or flange_x_mm .., or say --column OURS=FILE"
         )
-    return hand, table.group(hand.translation) * (hand.with_units(table).length or 1.0)
+    return hand, table.numbers(hand.translation) * (hand.with_units(table).length or 1.0)
 
 
 def _target(table: Table) -> PoseHeadings:

@@ -27,6 +27,7 @@ from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange
 from mbcacq.recording.datasets.columns_of_joints import headings, read_joints
 from mbcacq.recording.datasets.csv_columns import CENTRES, FLANGE_VELOCITY, QUATERNION, XYZ, poses_schema, refuse_radians, rotations
 from mbcacq.recording.datasets.observation_writer import IMAGES, write_observation_set
+from mbcacq.recording.datasets.scan_folder import centres_from_scans
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
 
@@ -61,8 +62,6 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
     elif separate:
         centres = _read_centres(read_table(folder / "centres.csv", CENTRES, names=names), cell, poses)
     elif (folder / "scans").is_dir():
-        from mbcacq.recording.datasets.scan_folder import centres_from_scans
-
         centres = centres_from_scans(folder, cell, poses["pose_id"], poses["station"])
     else:
         raise ConfigError(
@@ -90,7 +89,7 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         q = read_joints(table, cell.robot, "q")
         assert q is not None, "required"
         if not cell.robot.chain.sliding:
-            refuse_radians(table, table.group(joints))
+            refuse_radians(table, table.numbers(joints))
     else:
         table.require(["pose", "station"])
         q = by_flange.coordinates(table)
@@ -106,7 +105,7 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
         out["time_s"] = table.time("time_s")
     if table.has(["sensor_time_s", *FLANGE_VELOCITY]):
         out["sensor_time_s"] = table.number("sensor_time_s")
-        linear, turning = (table.group(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
+        linear, turning = (table.numbers(FLANGE_VELOCITY[k : k + 3], angle=k > 0) for k in (0, 3))
         out["flange_velocity"] = np.concatenate([linear, turning], axis=1)
     if table.has("payload_kg"):
         out["payload_kg"] = table.number("payload_kg")
@@ -150,7 +149,7 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
             f"which stands at station '{station.id}' of pose {poses['pose_id'][pose[row]]}; correct the ball or the station"
         )
     _refuse_repeated(table, "ball", pose * len(cell.ball_ids) + ball, "this ball was already given for this pose (line {1}); remove one")
-    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.group(XYZ)}
+    out: dict[str, Any] = {"pose": pose, "ball": ball, "xyz": table.numbers(XYZ)}
     if table.has(["n_points"]):
         values = table.number("n_points")
         whole = np.array_equal(values, np.rint(values)) and np.abs(values).max(initial=0.0) < 2.0**53

@@ -31,23 +31,9 @@ TARGET_WORDS = (
 )  # fmt: skip
 CAMERAS, BASES = {"cam", "camera", "sensor", "scanner", "eye", "tracker", "instrument"}, {"base", "world"}  # that a pose is seen from
 FILLERS = {
-    "pos",
-    "position",
-    "trans",
-    "translation",
-    "pose",
-    "orient",
-    "orientation",
-    "rot",
-    "rotation",
-    "quat",
-    "quaternion",
-    "t",
-    "r",
-    "p",
-    "transform",
-    "field",
-}
+    "pos", "position", "trans", "translation", "pose", "orient", "orientation", "rot", "rotation", "quat", "quaternion",
+    "t", "r", "p", "transform", "field",
+}  # fmt: skip
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 TURNING = {"orient", "orientation", "rot", "rotation", "quat", "quaternion", "q"}
 QUATERNION_WORDS = {"quat", "quaternion"}
@@ -110,7 +96,7 @@ class PoseHeadings:
         0 0 0 1. Raises ConfigError if neither holds."""
         if not self.closing:
             return self
-        rows, columns = (np.abs(table.group(names) - (0.0, 0.0, 0.0, 1.0)).max(axis=1) for names in (self.closing, self._last_column))
+        rows, columns = (np.abs(table.numbers(names) - (0.0, 0.0, 0.0, 1.0)).max(axis=1) for names in (self.closing, self._last_column))
         if rows.max(initial=0.0) < CLOSED:
             return self
         if columns.max(initial=0.0) < CLOSED:
@@ -132,7 +118,7 @@ class PoseHeadings:
         if length is None:
             length = _length_by_size(table, self.translation)
         if angle is None:
-            largest = np.abs(table.group(self.rotation)).max(initial=0.0) if self._turns else 0.0
+            largest = np.abs(table.numbers(self.rotation)).max(initial=0.0) if self._turns else 0.0
             angle = 1.0 if largest < RADIANS_BELOW else DEGREE
         return replace(self, length=length, angle=angle)
 
@@ -143,12 +129,14 @@ class PoseHeadings:
     def transforms(self, table: Table) -> np.ndarray:
         """T (rows, 4, 4) in mm. Raises ConfigError naming file, line and column."""
         known = self.with_units(table)
-        xyz = table.group(known.translation) * known.length
+        xyz = table.numbers(known.translation) * known.length
         if not self.rotation:
             return se3.transform(np.eye(3), xyz)
         # Decimals of degrees come back bit for bit.
         exact = self._turns and known.angle == DEGREE
-        values = table.group(known.rotation, angle=True) if exact else table.group(known.rotation) * (known.angle if self._turns else 1.0)
+        values = (
+            table.numbers(known.rotation, angle=True) if exact else table.numbers(known.rotation) * (known.angle if self._turns else 1.0)
+        )
         try:
             T = se3.transform(orientations.to_matrices(values, self.convention), xyz)
             return se3.inverse(T) if self.inverted else T
@@ -159,7 +147,7 @@ class PoseHeadings:
     def coordinates(self, table: Table) -> np.ndarray:
         """(rows, 6) mm and rotation vectors in rad; numbers that are these already come back bit for bit."""
         if self.convention == "vector" and self.length == self.angle == 1.0 and not self.inverted:
-            return table.group(self.names)
+            return table.numbers(self.names)
         return flange_coordinates(self.transforms(table))
 
     def described(self) -> str:
@@ -389,7 +377,7 @@ def _inverted(thing: str) -> bool | None:
 
 
 def _length_by_size(table: Table, names: Sequence[str]) -> float:
-    largest = float(np.abs(table.group(names)).max(initial=0.0))
+    largest = float(np.abs(table.numbers(names)).max(initial=0.0))
     if largest < METRES_BELOW:
         return 1e3
     if largest > MILLIMETRES_ABOVE:

@@ -84,7 +84,7 @@ def read_motion(folder: Path, robot: RobotModel, simulated: bool) -> Trajectory:
     q = read_joints(table, robot, "q")
     assert q is not None, "required"
     if not robot.chain.sliding:
-        refuse_radians(table, table.group(headings(robot, "q")))
+        refuse_radians(table, table.numbers(headings(robot, "q")))
     signals = {
         "q_set": read_joints(table, robot, "q", "_set"),
         "q_joint": read_joints(table, robot, "q", "_joint"),

@@ -31,7 +31,7 @@ def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
     if several:
         return _several(table, cell, several)
     rows = np.arange(len(table))
-    out: dict[str, Any] = {"pose": rows, "ball": _balls(table, cell), "xyz": table.group(XYZ)}
+    out: dict[str, Any] = {"pose": rows, "ball": _balls(table, cell), "xyz": table.numbers(XYZ)}
     extra: dict[str, np.ndarray] = {}
     if any(table.has(name) for name in QUATERNION):
         table.require(QUATERNION)

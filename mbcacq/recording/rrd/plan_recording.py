@@ -11,6 +11,7 @@ from mbcacq.files.atomic_write import replacing
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+from mbcacq.recording.rrd import layout, scene
 
 FRAMES_A_MOTION = 16
 
@@ -27,7 +28,6 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
     from mbcacq.recording.rrd.drawable import drawable
     from mbcacq.recording.rrd.new_stream import filed

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from mbcacq.devices import ChildEnded, ChildProcess
 from mbcacq.errors import RecordingError
+from mbcacq.recording.rrd.library_reader import LibraryReader
 
 READY, BATCH, ERROR, END = b"R", b"B", b"E", b"."
 
@@ -86,8 +87,6 @@ def _frame(pipe: IO[bytes]) -> tuple[bytes, bytes]:
 
 def main() -> None:
     """The process itself."""
-    from mbcacq.recording.rrd.library_reader import LibraryReader
-
     with suppress(ImportError):  # Windows writes no memory to the disk
         import resource
 

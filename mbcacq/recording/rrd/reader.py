@@ -20,6 +20,7 @@ from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written
 from mbcacq.recording.rrd.library_reader import LibraryReader
 from mbcacq.recording.rrd.process_reader import ProcessReader
 from mbcacq.recording.rrd.rerun_path import rerun_path
+from mbcacq.recording.rrd.sweeps import sweep_observations
 
 Row = dict[str, Any]
 _OPEN: ContextVar[dict[tuple[str, int, int], Recording] | None] = ContextVar("_OPEN", default=None)
@@ -195,7 +196,6 @@ def read_observations(path: Path | str) -> Observations:
     sweeps = [row for recording in recordings for row in recording.rows(layout.SWEEP) if "points" in row and intact(row)]
     if not sweeps:
         return measured
-    from mbcacq.recording.rrd.sweeps import sweep_observations
 
     return sweep_observations(measured, sweeps, [recording.cycles(("time_s", "q")) for recording in recordings], str(path))
 

@@ -7,7 +7,6 @@ import os
 import threading
 from contextlib import suppress
 from datetime import UTC, datetime
-from functools import singledispatchmethod
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,6 +16,12 @@ from mbcacq.files.atomic_write import inside_folder, sync_folder
 from mbcacq.model.cell import SIMULATED
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
+
+AS_THEY_ARE = {
+    events.FactChanged: ("fact", ("role", "name", "before", "now")),
+    events.Gap: ("gap", ("kind", "text", "pose")),
+    events.RunStopped: ("run_stopped", ("exit_status", "reason")),
+}
 
 
 class Journal:
@@ -48,72 +53,14 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @singledispatchmethod
     def _write(self, event: events.Event) -> None:
-        pass
-
-    @_write.register
-    def _(self, event: events.RunStarted) -> None:
-        entry = {"name": event.name, "started": event.started, "n_poses": event.n_poses, "versions": dict(event.versions)}
-        self._write_journal(event.time_s, event="run_started", **entry, **({"simulated": True} if event.simulated else {}))
-        if event.simulated:
-            self._write_log(event, "warning", "mbcacq", SIMULATED)
-
-    @_write.register
-    def _(self, event: events.DeviceConnected) -> None:
-        about = event.about
-        known = {"model": about.model, "serial": about.serial, "firmware": about.firmware, "settings": dict(about.settings)}
-        fields = [f"{field.name} [{field.unit}]" for field in about.fields]
-        self._write_journal(event.time_s, event="device", role=event.role, driver=event.driver, **known, fields=fields)
-
-    @_write.register
-    def _(self, event: events.PoseDone) -> None:
-        self._write_journal(
-            event.time_s,
-            event="pose_done",
-            pose=event.pose,
-            station=event.station,
-            phase=event.phase,
-            step=event.step,
-            balls=len(event.ball),
-            robot_time_s=float(event.robot_time_s),
-            **({"facts": dict(event.facts)} if event.facts else {}),
-        )
-
-    @_write.register
-    def _(self, event: events.FactChanged) -> None:
-        self._write_journal(event.time_s, event="fact", role=event.role, name=event.name, before=event.before, now=event.now)
-
-    @_write.register
-    def _(self, event: events.Gap) -> None:
-        self._write_journal(event.time_s, event="gap", kind=event.kind, text=event.text, pose=event.pose)
-
-    @_write.register
-    def _(self, event: events.RunStopped) -> None:
-        self._write_journal(event.time_s, event="run_stopped", exit_status=event.exit_status, reason=event.reason)
-        self._write_log(
-            event, "info" if event.exit_status == "success" else "error", "mbcacq", f"run ended: {event.exit_status}: {event.reason}"
-        )
-
-    @_write.register
-    def _(self, event: events.Message) -> None:
-        self._write_log(event, event.level, event.source, event.text)
-
-    @_write.register
-    def _(self, event: events.StepStarted) -> None:
-        self._write_log(event, "info", "mbcacq", f"step {event.name} ({event.n_poses} poses)")
-
-    @_write.register
-    def _(self, event: events.StationReached) -> None:
-        self._write_log(event, "info", "mbcacq", f"artefact {event.artefact} at station {event.station}")
-
-    def _write_journal(self, time_s: float, **entry: Any) -> None:
-        self._append(self._journal, layout.JOURNAL_FILE, {"time_s": round(time_s, 4), **entry}, sync=True)
-
-    def _write_log(self, event: events.Event, level: str, source: str, text: str) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        entry = {"time": now, "time_s": round(event.time_s, 4), "level": level, "source": source, "text": text}
-        self._append(self._log, layout.LOG_FILE, entry)
+        if (noted := _noted(event)) is not None:
+            name, entry = noted
+            self._append(self._journal, layout.JOURNAL_FILE, {"time_s": round(event.time_s, 4), "event": name, **entry}, sync=True)
+        if (said := _said(event)) is not None:
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
+            entry = {"time": now, "time_s": round(event.time_s, 4), **dict(zip(("level", "source", "text"), said, strict=True))}
+            self._append(self._log, layout.LOG_FILE, entry)
 
     def _append(self, file: BinaryIO, name: str, entry: dict[str, Any], sync: bool = False) -> None:
         try:
@@ -123,6 +70,43 @@ class Journal:
                 os.fsync(file.fileno())
         except OSError as error:
             raise RecordingError(f"{name} can no longer be written: {error.strerror}; free the disk and resume the run") from error
+
+
+def _noted(event: events.Event) -> tuple[str, dict[str, Any]] | None:
+    """What the journal keeps of an event: its name and its facts."""
+    match event:
+        case events.RunStarted():
+            simulated = {"simulated": True} if event.simulated else {}
+            return "run_started", {**_of(event, "name", "started", "n_poses"), "versions": dict(event.versions), **simulated}
+        case events.DeviceConnected(about=about):
+            known = {**_of(about, "model", "serial", "firmware"), "settings": dict(about.settings)}
+            return "device", {**_of(event, "role", "driver"), **known, "fields": [f"{field.name} [{field.unit}]" for field in about.fields]}
+        case events.PoseDone():
+            measured = {"balls": len(event.ball), "robot_time_s": float(event.robot_time_s)}
+            facts = {"facts": dict(event.facts)} if event.facts else {}
+            return "pose_done", {**_of(event, "pose", "station", "phase", "step"), **measured, **facts}
+    name, facts = AS_THEY_ARE.get(type(event), ("", ()))
+    return (name, _of(event, *facts)) if name else None
+
+
+def _said(event: events.Event) -> tuple[str, str, str] | None:
+    """What the log says of an event: level, source and text."""
+    match event:
+        case events.RunStarted(simulated=True):
+            return "warning", "mbcacq", SIMULATED
+        case events.RunStopped(exit_status=status):
+            return "info" if status == "success" else "error", "mbcacq", f"run ended: {status}: {event.reason}"
+        case events.Message():
+            return event.level, event.source, event.text
+        case events.StepStarted():
+            return "info", "mbcacq", f"step {event.name} ({event.n_poses} poses)"
+        case events.StationReached():
+            return "info", "mbcacq", f"artefact {event.artefact} at station {event.station}"
+    return None
+
+
+def _of(source: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(source, name) for name in names}
 
 
 def read_journal(folder: Path | str) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.run_folder.journal import read_journal
 
 EMPTY = ".empty"  # added to the name of a recording in which nothing can be read
@@ -88,7 +89,6 @@ def _repair(folder: Path) -> Iterator[str]:
 def _keep_identity(folder: Path) -> None:
     """All parts carry one recording id; where the note of it was lost, it is taken from the first part."""
     from mbcacq.recording.rrd.reader import opened
-    from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 
     parts = layout.parts(folder)
     if parts and read_run_header(folder) is None:

@@ -15,6 +15,7 @@ from typing import Any
 from mbcacq.devices import kill
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError, SystemRefused
 from mbcacq.files.atomic_write import replacing, write_files
+from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -132,7 +133,6 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     takes the blueprint of the first of several files of one recording. Sources that are no run of ours are left as they are."""
     import rerun as rr
 
-    from mbcacq.recording.datasets.cell_yaml import parse_cell
     from mbcacq.recording.rrd.blueprint import for_cell
     from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
     from mbcacq.recording.rrd.reader import Recording

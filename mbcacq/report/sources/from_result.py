@@ -21,7 +21,10 @@ from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, PartContent, Spacing
+from mbcacq.report.sources import measured
 from mbcacq.report.sources.coefficients import names_in_words
+from mbcacq.report.sources.from_diagnosis import diagnosis_content  # a run without a diagnosis does not wait for these imports
+from mbcacq.report.sources.from_motion import kept_motion_content
 from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
@@ -54,8 +57,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        from mbcacq.report.sources import measured
-
         used = measured.calibrated_poses(observations, result)
         state = state_from_dict(dict(result), observations.cell)
         rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
@@ -72,9 +73,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     document, pictures, name = run_info.get("diagnosis"), run_info.get("pictures"), str(run_info.get("folder") or "RUN")
     diagnosis = None if document is None else Diagnosis.from_json(document)
     if diagnosis is not None and document is not None:
-        from mbcacq.report.sources.from_diagnosis import diagnosis_content  # a run without a diagnosis does not wait for these imports
-        from mbcacq.report.sources.from_motion import kept_motion_content
-
         tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
         found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
         found["motion"] = kept_motion_content(document, pictures)
