@@ -71,10 +71,7 @@ def modbus_positioner() -> Iterator[Stand]:
 
 @contextmanager
 def modbus_sensor(rtu: bool = False) -> Iterator[Stand]:
-    values = {
-        "air_C": {"address": 4, "type": "int16", "scale": 0.1, "unit": "C"},
-        "scanner_C": {"address": 40, "table": "input", "type": "float32", "unit": "C"},
-    }
+    values = {"air_C": {"address": 4, "type": "int16", "scale": 0.1}, "scanner_C": {"address": 40, "table": "input", "type": "float32"}}
     known = {"air_C": 21.5, "scanner_C": 38.25}
     served = [(Register(**values[name]), lambda v=value: v) for name, value in known.items()] + [(Register(**IDENTITY), lambda: 4711.0)]
     given = {"values": values, "identity": {"where": IDENTITY, "equals": 4711}}
@@ -118,8 +115,6 @@ def serial_sensor(pty: bool = False) -> Iterator[Stand]:
                 "ask": "T?\n",
                 "timeout_s": 3.0,
                 "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)",
-                "units": {"air_C": "C"},
-                "max_rate": {"humidity": 0.5},
                 "identity": {"ask": "ID?\n", "expect": "THERM-2"},
             }
 

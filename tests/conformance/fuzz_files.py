@@ -125,7 +125,7 @@ def file_targets() -> list[Target]:
     cell = parse_cell(CELL.decode())
 
     def read_poses(path: Path) -> object:
-        return _read_poses(read_table(path, csv_columns.poses_schema(cell.robot.n, cell.ball_ids)), cell, "")
+        return _read_poses(read_table(path, csv_columns.poses_schema(cell.robot, cell.ball_ids)), cell, "")
 
     _, poses = in_file("poses.csv", read_poses)(POSES)
     kept = plan_files_text({"a.yaml": "a: 1", "b.yaml": "b: [2]"}, "real").encode()

@@ -57,7 +57,7 @@ def test_an_error_of_the_load_is_an_effect_only_where_it_is_not_known_to_be_one(
     names = {e.candidate.name for e in fit.effects}
     assert names == {"joint_compliance"} if known else names > {"joint_compliance"}
     if known:
-        (compliance,) = [e.parameters["A2.compliance_rad_per_Nm"] for e in fit.effects if e.candidate.where == ("A2",)]
+        (compliance,) = [e.found.parameters["A2.compliance_rad_per_Nm"] for e in fit.effects if e.candidate.where == ("A2",)]
         assert abs(compliance.value - SOFT) < 3 * compliance.std
 
 

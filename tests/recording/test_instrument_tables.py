@@ -87,7 +87,7 @@ def test_points_of_spatialanalyzer_need_no_headings(tmp_path, separator):
     (tmp_path / "a.txt").write_text(text)
     table = read_table(tmp_path / "a.txt", headings=names_poses)
     assert unit_above(table) == "mm"
-    assert table.group(target_columns(table).translation)[2].tolist() == [1002.5, 200.25, -3.0]
+    assert table.numbers(target_columns(table).translation)[2].tolist() == [1002.5, 200.25, -3.0]
 
 
 def test_a_recording_over_rtde_has_the_pose_of_the_flange(tmp_path):

@@ -19,7 +19,7 @@ from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
 from mbcacq_fakes.protocols.krc.encoders import Encoders
-from mbcacq_fakes.protocols.krc.session import OPERATOR, PC_STOP, FakeRsiSession
+from mbcacq_fakes.protocols.krc.session import AXES, OPERATOR, PC_STOP, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, FAULTS, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
@@ -39,7 +39,7 @@ class RsiController(KukaController):
         super().__init__(FAULTS, COUNTED, settings.faults)
         self._settings, self._state, self._gone = settings, state, threading.Event()
         self._socket, self._foreign = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-        self._socket.bind(("127.0.0.1", 0))
+        self._socket.bind((settings.bind, 0))
         self.port = self._socket.getsockname()[1]
         self._log = array("d")
         self._cycle_s = settings.cycle_ms * 1e-3
@@ -125,7 +125,8 @@ class RsiController(KukaController):
             self._late += session.active or thrown_away
             session.miss(thrown_away)
         if self._settings.log:
-            correction = [answer.correction.get(a, 0.0) for a in ("A1", "A2", "A3", "A4", "A5", "A6")] if answer else [0.0] * 6
+            given = answer.correction if answer else dict.fromkeys(AXES, 0.0)
+            correction = [given.get(axis, 0.0) for axis in AXES] if given else session.correction  # an answer without one has the last held
             self._log.extend((ipoc, latency, accepted, *self._arm.q, *correction))
         self._pace()
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RsiAnswer
 
-_AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT, ACCELERATION = 1, 2, 3, 4, 5, 6  # indices into arm_state.FAULTS
 PC_STOP = 0
 LED_DEG_S = 40.0  # of every axis, by a program on the controller
@@ -33,6 +33,11 @@ class FakeRsiSession:
         self._asked: tuple[tuple[float, ...], ...] = ()  # corrections of the last cycles without a missing answer
         self._range: tuple[float | None, list[tuple[float, float]]] | None = None
 
+    @property
+    def correction(self) -> tuple[float, ...]:
+        """(6,) deg, that the controller has."""
+        return self._correction
+
     def accept(self, answer: RsiAnswer | None, ipoc: int) -> bool:
         """True for an answer with the right IPOC and type; anything else is thrown away without a word."""
         if answer is None or answer.ipoc != str(ipoc) or answer.sen_type != self._settings.sen_type:
@@ -46,7 +51,7 @@ class FakeRsiSession:
             return True
         held = self._correction if self._settings.hold_on else (0.0,) * 6
         given = answer.correction
-        self._correction = tuple([given.get(axis, old) for axis, old in zip(_AXES, held, strict=True)]) if given else held
+        self._correction = tuple([given.get(axis, old) for axis, old in zip(AXES, held, strict=True)]) if given else held
         self._asked = (*self._asked[-2:], self._correction)
         return True
 

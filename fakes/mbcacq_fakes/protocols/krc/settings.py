@@ -64,9 +64,9 @@ class ArmSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class KrcSettings(ArmSettings):
-    """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. lag_s: behind a dead time of
-    two cycles. stretch: by the clock, a second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is
-    waited for, and how long where the cycle before had none at all.
+    """client: where the telegrams go; bind: from where. realtime: 4 ms by the clock, or lock-step as fast as the answers come. lag_s:
+    behind a dead time of two cycles. stretch: by the clock, a second of the robot takes so many seconds. answer_wait_s: in lock-step, how
+    long an answer is waited for, and how long where the cycle before had none at all.
 
     speed_deg_s, acceleration_deg_s2: a correction that asks an axis for ``overspeed`` times more ends the session; accelerations (deg/s^2)
     are watched where they are given and no answer was missing. clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full
@@ -78,6 +78,7 @@ class KrcSettings(ArmSettings):
     """
 
     client: tuple[str, int] = ("127.0.0.1", 49152)
+    bind: str = "127.0.0.1"
     stretch: float = 1.0
     answer_wait_s: tuple[float, float] = (0.5, 0.01)
     acceleration_deg_s2: tuple[float, ...] | None = None
