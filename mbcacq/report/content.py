@@ -9,7 +9,7 @@ nominal. ``caveats`` are the sentences that stand above everything (simulated, n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -124,7 +124,9 @@ class Residuals:
     station : ndarray or None
         (M,) str.
     q_deg : ndarray or None
-        (M, n) joint angles of the pose.
+        (M, n) joint angles of the pose; cm of an axis that slides.
+    axes : tuple[str, ...]
+        (n,) axes with their units.
     """
 
     pose: np.ndarray
@@ -135,14 +137,14 @@ class Residuals:
     outlier: np.ndarray | None = None
     station: np.ndarray | None = None
     q_deg: np.ndarray | None = None
+    axes: tuple[str, ...] = ()
 
     def used(self) -> Residuals:
         """Without what was left out of the fit, unless nothing would remain."""
         if self.outlier is None or not self.outlier.any() or self.outlier.all():
             return self
         keep = ~self.outlier
-        kept = {f.name: v[keep] for f in fields(self) if (v := getattr(self, f.name)) is not None}
-        return Residuals(**kept)
+        return replace(self, **{f.name: v[keep] for f in fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)})
 
 
 @dataclass(frozen=True)
@@ -196,13 +198,15 @@ class Devices:
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Joint angles q_deg (P, n), None of poses of a flange, limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None;
+    """Joint angles q_deg (P, n), cm of an axis that slides, None of poses of a flange, limits_deg (n, 2) likewise, axes (n,) with their
+    units, and phase (P,) str; flange (P, 3) mm in the base, or None;
     balls (M, 3) mm in the base with ball_phase (M,) str, or None. arm: (3 n, 3) mm, the links in the middle pose as ``arm_outline`` has
     them, or None; arm_radii: (n,) mm."""
 
     q_deg: np.ndarray | None
     limits_deg: np.ndarray | None
     phase: np.ndarray
+    axes: tuple[str, ...] = ()
     flange: np.ndarray | None = None
     balls: np.ndarray | None = None
     ball_phase: np.ndarray | None = None

@@ -91,9 +91,9 @@ def residual_over_axis(data: Residuals, q_deg: np.ndarray, axis: int) -> Figure:
     q = q_deg[first, axis]
     keep = thinned(rms)
     top = float(np.percentile(rms, 99)) * 1.25
-    chart = Plot().points(q[keep], np.minimum(rms[keep], top), name="pose", colour="#8fb3cc", size=4, hover="%{x:.1f}°: %{y:.1f} µm")
+    chart = Plot().points(q[keep], np.minimum(rms[keep], top), name="pose", colour="#8fb3cc", size=4, hover="%{x:.1f}: %{y:.1f} µm")
     chart.line(*_running(q, rms), name="running rms", colour="#0B3C5D", width=2.5)
-    return chart.finished(240, f"A{axis + 1} / °", {"title": "3D residual / µm", "rangemode": "tozero"})
+    return chart.finished(240, data.axes[axis], {"title": "3D residual / µm", "rangemode": "tozero"})
 
 
 def _running(x: np.ndarray, y: np.ndarray, parts: int = 12) -> tuple[np.ndarray, np.ndarray]:

@@ -22,9 +22,14 @@ def joint_coverage(data: Coverage) -> Figure:
         lift, colour = (k - 1) * 0.09, PHASES[k % len(PHASES)]
         y = np.tile(np.arange(1, n + 1), np.count_nonzero(mine)) + lift
         mark = {"colour": colour, "size": 8, "symbol": "line-ns", "edge": (1.2, colour)}
-        chart.points(data.q_deg[mine].ravel(), y, name=name, **mark, hover="%{x:.1f}°")
-    axes = {"tickvals": list(range(1, n + 1)), "ticktext": [f"A{i}" for i in range(1, n + 1)]}
-    return chart.finished(70 + 44 * n, "joint angle / °", {**axes, "autorange": "reversed", "showgrid": False, "title": "axis"})
+        chart.points(data.q_deg[mine].ravel(), y, name=name, **mark, hover="%{x:.1f}")
+    angles_alone = all(name.endswith("°") for name in data.axes)
+    axes = {"tickvals": list(range(1, n + 1)), "ticktext": [name.split()[0] if angles_alone else name for name in data.axes]}
+    return chart.finished(
+        70 + 44 * n,
+        "joint angle / °" if angles_alone else "position",
+        {**axes, "autorange": "reversed", "showgrid": False, "title": "axis"},
+    )
 
 
 def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> Figure:

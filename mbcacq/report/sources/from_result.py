@@ -306,7 +306,10 @@ def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
         out.append(("poses of the flange, along x, y, z of the base", listed([1e3 * v for v in carrier[:3]]) + " µm"))
         out.append(("poses of the flange, about x, y, z of the base", listed([1e6 * v for v in carrier[3:]]) + " µrad"))
     else:
-        out.append(("joint repeatability, A1 …", listed([1e6 * v for v in carrier]) + " µrad"))
+        slides = set(result["robot"].get("sliding", ()))
+        out.append(("joint repeatability, A1 …", listed([1e6 * v for i, v in enumerate(carrier) if i not in slides]) + " µrad"))
+        if slides:
+            out.append(("repeatability of the axes that slide", listed([1e3 * carrier[i] for i in sorted(slides)]) + " µm"))
     if noise.get("turn_rad") is not None:
         out.append(("orientation of the target", f"{fixed(1e6 * noise['turn_rad'], 1)} µrad"))
     if noise.get("check_factor"):

@@ -13,7 +13,7 @@ from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.estimation.terms import accumulate, known_errors
 from mbcacq.geometry import se3
 from mbcacq.geometry.link_shapes import arm_outline, link_radii
-from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import in_degrees
 from mbcacq.report.content import Coverage, Residuals, Spheres
@@ -43,6 +43,7 @@ def residuals(
         J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
         sigma = np.sqrt(np.asarray(point_mm)[: deviation.shape[1]] ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
         weighted = _three(deviation / sigma)
+    robot = obs.cell.robot
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
@@ -54,8 +55,19 @@ def residuals(
         weighted=weighted,
         outlier=out,
         station=station,
-        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q)[obs.pose],
+        q_deg=None if robot.of_flange_poses else positions(robot, obs.q)[obs.pose],
+        axes=axes_of(robot),
     )
+
+
+def positions(robot: RobotModel, q: np.ndarray) -> np.ndarray:
+    """Positions (.., n) as they are drawn: deg, and cm of an axis that slides, which then fits the scale of the angles."""
+    return np.where(robot.chain.prismatic, q / 10, in_degrees(q))
+
+
+def axes_of(robot: RobotModel) -> tuple[str, ...]:
+    """(n,) axes with the units of ``positions``."""
+    return tuple(f"{name} / {'cm' if slides else '°'}" for name, slides in zip(robot.axes, robot.chain.prismatic.tolist(), strict=True))
 
 
 def _three(rows: np.ndarray) -> np.ndarray:
@@ -70,8 +82,9 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=None if obs.cell.robot.of_flange_poses else in_degrees(obs.q),
-        limits_deg=in_degrees(obs.cell.robot.limits),
+        q_deg=None if obs.cell.robot.of_flange_poses else positions(obs.cell.robot, obs.q),
+        limits_deg=positions(obs.cell.robot, obs.cell.robot.limits.T).T,
+        axes=axes_of(obs.cell.robot),
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,
