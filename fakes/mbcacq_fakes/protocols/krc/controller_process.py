@@ -1,4 +1,4 @@
-"""A fake controller in a process of its own: begun, told what to do in lines of JSON, and ended."""
+"""A fake controller in a process of its own: begun, commanded by lines of JSON, and ended."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ FAULTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class ArmSettings:
-    """What both fake controllers are told of the arm and its clock. Angles deg, speeds deg/s.
+    """What both fake controllers know of the arm and its clock. Angles deg, speeds deg/s.
 
     realtime: by the clock, or as fast as the client lets it. limits_deg: (6, 2). dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
     beta_deg) from which the pose is computed, or none. lag_s: first-order lag of the arm behind its set point. encoder_noise_deg,
