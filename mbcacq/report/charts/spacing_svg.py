@@ -27,6 +27,22 @@ def spacing_picture(data: Spacing) -> str:
     return filled(HERE / "spacing.svg.j2", rows=rows, top=top, ticks=_ticks(top), limit=data.limit, **colours)
 
 
+def slider_pictures(data: Spacing) -> list[str]:
+    """SVG of the signed errors at each place before and after calibration, on one scale; of many places those with the largest after."""
+    shown = np.sort(np.argsort(-np.abs(data.after))[:MOST_ROWS])
+    after_U = 0 * data.after if data.sigma is None else 2 * data.sigma
+    ends = np.concatenate([data.before, data.after - after_U, data.after + after_U, [0.0, 1e-9]])
+    low, high = 1.06 * ends.min(), 1.06 * ends.max()
+    step = _ticks(high - low)[1]
+    ticks = [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
+    out = []
+    for title, errors, U, colour in (("before", data.before, 0 * after_U, BEFORE), ("after", data.after, after_U, AFTER)):
+        rows = [{"place": data.place[k], "error": errors[k], "U": U[k]} for k in shown]
+        largest = np.abs(errors).max()
+        out.append(filled(HERE / "columns.svg.j2", title=title, rows=rows, low=low, high=high, ticks=ticks, colour=colour, largest=largest))
+    return out
+
+
 def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray], expected_mm: float | None = None) -> str:
     """SVG with a bar for each place and stage.
 
