@@ -24,7 +24,7 @@ from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.recording import load_observations
 from mbcacq.workflow.load import as_cell
-from mbcacq.workflow.part_scenes import scans_at, thinned_scans
+from mbcacq.workflow.part_scenes import scans_at, stations_of_parts, thinned_scans
 
 VOXELS_PER_SPACING = 1.0
 DRAWN = 3000  # points of a scan
@@ -122,16 +122,15 @@ def merge_scans(
     station = _station(observations, station)
     scans = scans_at(source, observations, station)
     progress("comparing the scans where they overlap")
-    count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
-    seen = thinned_scans(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
+    seen, apart = thinned_scans(source, observations, station)
     ways = placements(cell)
-    compared = agreement(seen[0], ways, o)
-    voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
+    compared = agreement(seen, ways, o)
+    voxel = voxel_mm or VOXELS_PER_SPACING * apart
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
-    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen[0]])
+    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen])
     merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
-    some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen[0]]
+    some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen]
     drawn = {way.name: [way.to_base(q, points) for q, points in some] for way in (ways[0], ways[-1])}
     deviations = None
     if cad is not None:
@@ -167,13 +166,12 @@ def _planned_place(source: Path, station: str) -> np.ndarray:
 
 def _station(observations: Observations, wanted: str | None) -> str:
     """Where the part stood. Raises ConfigError where that is not one station."""
-    cell = observations.cell
-    known = [s.id for s in cell.stations]
+    known = [s.id for s in observations.cell.stations]
     if wanted is not None:
         if wanted not in known:
             raise ConfigError(f"there is no station '{wanted}' (there: {', '.join(known)}); name one of these")
         return wanted
-    parts = [s.id for k, s in enumerate(cell.stations) if cell.artefact(s.artefact).is_part and (observations.station == k).any()]
+    parts = stations_of_parts(observations)
     if len(parts) != 1:
         what = f"parts were scanned at {', '.join(parts)}" if parts else "no part was scanned, only artefacts"
         raise ConfigError(f"{what}; say whose scans are meant by --station (there: {', '.join(known)})")
