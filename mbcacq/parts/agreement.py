@@ -10,10 +10,10 @@ import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
-from mbcacq.parts.overlap import SurfaceCells
+from mbcacq.parts.overlap import SurfaceCells, surface_cells
 from mbcacq.parts.placement import CellPlacement
 from mbcacq.parts.scans import PartScan, ScanSurface
-from mbcacq.parts.scene import brought_together
+from mbcacq.parts.scene import brought_together, cell_edge
 from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step
 
 CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
@@ -113,7 +113,7 @@ def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequenc
     Raises ConfigError if no two overlap enough.
     """
     best = placements[-1]
-    T = np.stack([best.cell.frames(scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner for scan, _ in scans])
+    T = np.stack([best.frame(scan.q) for scan, _ in scans])
     # As the effects have their points.
     placed = [
         ScanSurface(se3.apply(se3.inverse(M), best.to_base(scan.q, surface.points)), surface.normals)
@@ -133,6 +133,16 @@ def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequenc
     scatter = float(np.quantile(np.concatenate([pair.step.cells.scatter for pair in found]), 0.25))
     alone = tuple(scan.number for scan, _ in scans if scan.number not in used)
     return Agreement(tuple(p.name for p in placements), tuple(found), noise, scatter, alone)
+
+
+def offsets(scans: Sequence[tuple[PartScan, ScanSurface]], placement: CellPlacement, times: float, options: PartOptions) -> np.ndarray:
+    """(g, 4): middles of the cells that scans share, as each of them has it: off their mean by so many times as much (mm, base frame), and
+    the index of the scan."""
+    placed = [(placement.to_base(one.q, s.points), s.normals @ placement.frame(one.q)[:3, :3].T) for one, s in scans]
+    cells = surface_cells(placed, cell_edge([s for _, s in scans], options), options)
+    mean = np.bincount(cells.cell, cells.height) / np.bincount(cells.cell)
+    off = times * (cells.height - mean[cells.cell])
+    return np.column_stack([cells.point[cells.cell] + off[:, None] * cells.normal[cells.cell], cells.scan])
 
 
 def _pairs(cells: SurfaceCells, count: int, options: PartOptions) -> list[tuple[int, int]]:

@@ -88,8 +88,7 @@ def _points(
     """The points of a scan as ``POINT``."""
     single, together = noise_mm
     out = np.empty(len(surface.points), POINT)
-    T = placement.cell.frames(scan.q[None])[0, -1] @ placement.cell.state.T_flange_scanner
-    normals = surface.normals @ T[:3, :3].T
+    normals = surface.normals @ placement.frame(scan.q)[:3, :3].T
     seen = (single / surface.facing) ** 2 + together**2
     for name, moved in (("sigma_mm", common), ("sigma_base_mm", None)):
         known = placement.covariance_over(scan.q, surface.points, moved).variance_along(surface.points, normals)

@@ -108,7 +108,7 @@ def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray
     ConfigError
         No two scans overlap enough.
     """
-    edge, T = options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces])), T_base_scanner
+    edge, T = cell_edge(surfaces, options), T_base_scanner
     for factor in options.coarse:
         fewer = [thinned(surface, int(len(surface.points) / factor**2)) for surface in surfaces]
         for _ in range(options.steps):
@@ -128,6 +128,11 @@ def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray
         cells, used = _connected(every, len(T), options.cells[0], options)
         found = _without_gross(cells, len(used), noise, options)
     return Together(T, used, noise, every, found, cells.point.mean(axis=0))
+
+
+def cell_edge(surfaces: Sequence[ScanSurface], options: PartOptions) -> float:
+    """Edge in mm of the cells in which scans are compared."""
+    return options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces]))
 
 
 def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> RegisteredScene:
