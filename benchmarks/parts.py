@@ -43,7 +43,10 @@ from mbcacq.parts.scans import PartScan
 from mbcacq.parts.scene import RegisteredScene
 from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
-from mbcacq.workflow.acquire import solver_cell
+from mbcacq.recording import load_observations
+from mbcacq.workflow.acquire import new_run_folder, plan_acquisition, solver_cell
+from mbcacq.workflow.dry_run import device_overrides
+from mbcacq.workflow.merge_scans import merge_scans
 
 sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
 SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
@@ -203,6 +206,29 @@ def views(args: argparse.Namespace) -> None:
         print(f"seed {seed}: {ours} views; best of {args.starts} starts {min(starts)}, median {np.median(starts):.0f}", flush=True)
 
 
+def whole(args: argparse.Namespace) -> None:
+    """Dry runs of plans/part.yaml, each of another fake cell, merged and compared with the true mesh."""
+    loaded = load(PLANS / "part.yaml")
+    poses = expand(loaded)
+    for seed in range(args.first, args.first + args.cells):
+        with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+            run = plan_acquisition(loaded, poses, frozenset(), 0, f"the fake cell of seed {seed}")
+            run.folder = new_run_folder(Path(folder) / "run", "part")
+            with device_overrides(loaded, poses, dry_run=True, seed=seed, assume_yes=True) as overrides:
+                run.execute(overrides, [])
+            cell = calibrate(load_observations(run.folder))
+            done = merge_scans(run.folder, Path(folder) / "merged.ply", result=cell, cad=PLANS / "parts" / "freeform.stl")
+        found, off = done.agreement, done.deviations
+        assert off is not None
+        nees = np.mean([pair.normalised["geometry"] for pair in found.pairs])
+        print(
+            f"seed {seed}: before {found.rms_mm('before'):.3f}, after {found.rms_mm('geometry'):.4f}, expected {found.expected_mm:.4f} mm, "
+            f"ratio {found.ratio:.3f}, NEES {nees:.2f}; from the mesh: mean {off.mean_mm:+.4f}, rms {off.rms_mm:.4f} "
+            f"(expected {off.expected_mm:.4f}) mm, {off.beyond_U:.3f} beyond U",
+            flush=True,
+        )
+
+
 def memory(args: argparse.Namespace) -> None:
     """Peak memory of a merge, by the number of points."""
     import part_shapes
@@ -242,6 +268,7 @@ if __name__ == "__main__":
                 "arm": (arm, [COUNT]),
                 "steps": (steps, [option("--pairs", type=int, default=40, help="pairs of each shape")]),
                 "check": (check, [COUNT]),
+                "whole": (whole, [COUNT, option("--first", type=int, default=1), option("--folder", type=Path, default=Path())]),
                 "views": (views, [option("--cells", type=int, default=3, help="seeds"), option("--starts", type=int, default=50)]),
                 "memory": (
                     memory,
