@@ -12,7 +12,6 @@ from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.diagnosis.findings import Advice
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.errors import ConfigError, MbcacqError
-from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, load
@@ -117,9 +116,9 @@ def next_plan(
     return NextPlan(chosen, text)
 
 
-def _weighed(observations: Observations, options: CalibrationOptions | None = None) -> InterimEvidence:
+def _weighed(observations: Observations) -> InterimEvidence:
     with likely_cause_named(observations):
-        return weigh(observations, options)
+        return weigh(observations)
 
 
 def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
