@@ -66,7 +66,7 @@ def render(content: Content, *, paper: bool = False) -> str:
 
 def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
     """SVG of the bar before calibration, after geometry, and after effects."""
-    stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
+    stages = {"before": with_effects.before, "after calibration": geometry.after, "after effects": with_effects.after}
     expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))
     return stages_picture(with_effects.place, stages, expected)
 
