@@ -108,7 +108,7 @@ class _Blocks:
 
     def add(self, points: np.ndarray) -> None:
         self.read += len(points)
-        key = cells_of(_xyz(points), self._edge)
+        key = cells_of(xyz_of(points), self._edge)
         order = np.argsort(key, kind="stable")
         block, start = np.unique(key[order], return_index=True)
         for name, some in zip(block.tolist(), np.split(points[order], start[1:]), strict=True):
@@ -119,14 +119,15 @@ class _Blocks:
         """Block by block, of each voxel its best known point."""
         for path in sorted(self._folder.glob("block-*")):
             points = np.fromfile(path, POINT)
-            voxel = cells_of(_xyz(points), self._voxel)
+            voxel = cells_of(xyz_of(points), self._voxel)
             order = np.lexsort((points["sigma_mm"], voxel))
             first = np.unique(voxel[order], return_index=True)[1]
             yield points[np.sort(order[first])]
             path.unlink()
 
 
-def _xyz(points: np.ndarray) -> np.ndarray:
+def xyz_of(points: np.ndarray) -> np.ndarray:
+    """(N, 3) mm of points of a merged cloud."""
     return np.stack([points[axis] for axis in "xyz"], axis=1).astype(float)
 
 

@@ -119,7 +119,9 @@ def merge_scans(
     source, out = Path(source), Path(out)
     cell = as_cell(source if result is None else result)
     observations = load_observations(source)
-    if isinstance(cell.nominal, FlangePoses) or observations.q.shape[1] != cell.nominal.n:
+    if isinstance(cell.nominal, FlangePoses):
+        raise ConfigError("scans are merged by joint angles, and this result is of poses of a flange; place them with mbcacq apply --poses")
+    if observations.q.shape[1] != cell.nominal.n:
         raise ConfigError("the result and the recording are of different arms; give the result of this cell")
     station = _station(observations, station)
     scans = scans_at(source, observations, station)
