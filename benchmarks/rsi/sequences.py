@@ -1,4 +1,4 @@
-"""Short sequences of telegrams at random moments of motions, in simulated time: what is lost, late or counted twice comes close together."""
+"""Short sequences of telegrams at random moments of motions, in simulated time: what is lost, late or counted twice, close together."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import argparse
 from collections import Counter
 
 import numpy as np
+
 from rsi.path import ACCELERATION, ARMS, JERK, NAMES, ROUNDING_DEG, SPEED, Controller, T
 
 FATES = ("good", "lost", "rejected", "counted", "late", "burst", "repeated", "swapped")
-LONGEST, CALM = 8, 24  # telegrams of a sequence; good ones between two, at most
+LONGEST = 8  # telegrams of a sequence
+CALM, SHARES = (4, 60, 200), (0.5, 0.44, 0.06)  # good ones between two, at most; how often which
 A_MOTION = 12  # sequences, then the arm turns elsewhere
 A_SESSION = 1000  # sequences
 RESTARTS = 0.5  # share of the sessions that end with a restart of the controller
@@ -25,7 +27,7 @@ def session(seed: int, number: int) -> tuple[float, float, float, Counter]:
         for k in range(A_SESSION):
             if k % A_MOTION == 0:
                 one.move()
-            for _ in range(int(rng.integers(0, CALM + 1) if rng.random() < 0.5 else 0)):
+            for _ in range(int(rng.integers(0, rng.choice(CALM, p=SHARES)))):
                 one.cycle()
             fates = [FATES[i] for i in rng.integers(0, len(FATES), rng.integers(1, LONGEST + 1))]
             for fate in fates:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
@@ -120,8 +120,8 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def _confirmed(self, session: S, expose: Callable[[], Scan]) -> Scan:
         """A scan whose geometry is that of the one before, or of a second exposure.
 
-        No checksum guards a message, and one wrong bit of a scale or an offset moves the whole cloud. They are settings of the job; a sensor
-        that chooses them scan by scan is believed, with a warning.
+        No checksum guards a message, and one wrong bit of a scale or an offset moves the whole cloud. They are settings of the job. A
+        sensor that has others in every scan is believed, with a warning.
         """
         known = [self._geometry]
         for _ in range(_EXPOSURES):
@@ -129,9 +129,6 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
             if session.geometry in known:
                 break
             known.append(session.geometry)
-        else:
-            text = "the sensor scales, shifts or cuts every scan otherwise, so that a broken message cannot be told; fix its active area"
-            scan = replace(scan, warnings=(*scan.warnings, text))
         if self._geometry not in (None, session.geometry):
             text = f"scale, offset or size of the scans changed from {self._geometry} to {session.geometry}"
             scan = replace(scan, warnings=(*scan.warnings, text))
