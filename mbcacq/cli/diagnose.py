@@ -38,7 +38,7 @@ def command(
         metavar="OTHER",
     ),
     with_found: bool = option(
-        "Then calibrate with what was found: result.json and bar.svg (the bar before, after geometry, after effects) go into the "
+        "Then calibrate with what was found: result.json and bar.svg (the bar before and after calibration, after effects) go into the "
         "folder with-effects of the run, or of the current folder.",
         None,
         "--calibrate",
