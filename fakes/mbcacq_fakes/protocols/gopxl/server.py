@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
+from mbcacq_fakes.protocols.gocator.data_faults import spoiled
+from mbcacq_fakes.protocols.gocator.publish import Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
 from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
@@ -28,7 +29,6 @@ from mbcacq_fakes.world.frame import ScannerFrame
 Source = Callable[[float], ScannerFrame]
 Part = tuple[int, str, int, bytes]  # type, source, output id and body of a message
 STAMPS = (resources.STAMP, resources.LASER_STAMP)
-_GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
 _POLL_S, _WAITING, _MOST_RECORDED = 0.02, 16, 50
 _log = logging.getLogger("mbcacq.fakes.gopxl")
 
@@ -235,27 +235,16 @@ class FakeGoPxL(SensorServer):
 
     def _spoiled(self, messages: list[bytes]) -> list[object]:
         """The messages as the active faults let them out."""
-        faults = self.faults
-        whole: dict[str, list[object]] = {"no_data": [], "close_data": [CLOSE], "garbage": [_GARBAGE]}
-        for fault, instead in whole.items():
-            if faults.use(fault):
-                return instead
         at = next((i for i, m in enumerate(messages) if m[4] in (encode.UNIFORM_SURFACE, encode.SURFACE_POINTS)), None)
         if at is None:
             return list(messages)
-        before, body, after = messages[:at], messages[at], messages[at + 1 :]
-        replaced: dict[str, Callable[[Any], list[object]]] = {
+        unknown = encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this")
+        own: dict[str, Callable[[Any], list[object]]] = {
             "stamp_only": lambda _: [encode.message(encode.NULL, encode.common("", self._made, True, 0), b"\6\0\1\0\0\0")],
-            "null_surface": lambda status: [self._null(status), *after],
-            "close_in_message": lambda _: [body[: len(body) // 2], CLOSE],
-            "stall": lambda _: [body[: len(body) // 2], MUTE],
-            "short_message": lambda _: [_shortened(body), *after],
-            "unknown_type": lambda _: [encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this"), body, *after],
+            "null_surface": lambda status: [self._null(status), *messages[at + 1 :]],
+            "unknown_type": lambda _: [unknown, *messages[at:]],
         }
-        for fault, make in replaced.items():
-            if (value := faults.use(fault)) is not None:
-                return [*before, *make(value)]
-        return list(messages)
+        return spoiled(messages, at, self.faults, own)
 
     def _null(self, status: int) -> bytes:
         body = b"\6\0" + int(status).to_bytes(4, "little", signed=True)
@@ -265,9 +254,3 @@ class FakeGoPxL(SensorServer):
 def _packed(parts: list[Part], set_id: int) -> list[bytes]:
     last = len(parts) - 1
     return [encode.message(k, encode.common(src, set_id, i == last, n), body) for i, (k, src, n, body) in enumerate(parts)]
-
-
-def _shortened(message: bytes) -> bytes:
-    short = bytearray(message[: max(len(message) * 3 // 4, 70)])
-    short[:4] = len(short).to_bytes(4, "little")
-    return bytes(short)
