@@ -80,7 +80,7 @@ class Transfer(AsJson):
         what is tried.
     robust : TransferFigures or None
         ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None if there are none. All
-        other figures are of every centre: what is tested does not choose by what.
+        other figures include every centre: a tested cell must not select its own test.
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None

@@ -108,8 +108,8 @@ def base_body(arm: MujocoArm, model: Any) -> int:
 
 
 def _resolve_frames(spec: Any, model: Any, joints: tuple[str, ...]) -> None:
-    """Place the arm's bodies and hinges in their bodies themselves, as MuJoCo compiles them, where the file has <frame> around them. Values
-    that are written later into a place or an axis are then not moved once more."""
+    """Place the arm's bodies and hinges in their bodies themselves, as MuJoCo compiles them, where the file has <frame> around them. The
+    compiler then does not move values that are written into a place or an axis later."""
     bodies = [spec.joint(name).parent for name in joints]
     placed = [(body, body.id) for body in bodies if body.frame is not None]  # the first change takes all numbers away
     turning = [(hinge, hinge.id) for body in bodies for hinge in body.joints if hinge.frame is not None]
