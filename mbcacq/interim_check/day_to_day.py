@@ -28,7 +28,7 @@ def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:
     if sum(a.arm == b.arm for a, b in zip(rows[1:], rows[:-1], strict=True)) < FEWEST:
         raise ConfigError(f"{fleet} has too few arms of type '{robot}' with several recordings to say what changes from day to day")
     usual = UsualChanges()
-    joints = [f"theta_{i + 1}" for i in range(len(rows[0].nominal) // 5)]
+    joints = [name for name in rows[0].names if name.startswith("theta_")]
     figures = {
         "joint": _spread(rows, joints),
         "mount_mm": _spread(rows, [f"hand_eye.{c}" for c in TWIST[:3]]),

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from mbcacq.files.mesh_file import Mesh
-from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.quantities import in_degrees
 
@@ -120,12 +120,22 @@ class RobotModel:
 
 def counted_axes(n: int) -> tuple[str, ...]:
     """A1 to An: the names of axes that nothing else names."""
-    return tuple(f"A{i + 1}" for i in range(n))
+    return tuple(axis_of_tag(str(i + 1)) for i in range(n))
 
 
 def tags_of(axes: tuple[str, ...]) -> tuple[str, ...]:
     """What stands for each axis in the name of a quantity."""
     return tuple(axis.removeprefix("A") for axis in axes)
+
+
+def axis_of_tag(tag: str) -> str:
+    """The axis by what stands for it in a name: A1 of '1'."""
+    return f"A{tag}" if tag.isdigit() else tag
+
+
+def link_parameters(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """(5 n,) names of the MD-H parameters, row by row: theta_1 of A1, theta_E1 of E1."""
+    return tuple(f"{p}_{tag}" for tag in tags_of(axes) for p in PARAMETERS)
 
 
 def arm_of_flange_poses(name: str, repeatability_mm: float | None = None, coordinates: np.ndarray | None = None) -> RobotModel:

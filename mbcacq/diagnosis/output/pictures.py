@@ -29,6 +29,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import in_degrees
 
@@ -130,7 +131,7 @@ def axis_of(depends_on: str) -> tuple[str, str, float]:
         (r"(.+)_C", "temperature {}", "°C", 1.0),
     ):
         if match := re.fullmatch(pattern, depends_on):
-            return label.format(*match.groups()).replace("_", " "), unit, factor
+            return label.format(*map(axis_of_tag, match.groups())).replace("_", " "), unit, factor
     return depends_on.replace("_", " "), "", 1.0
 
 
