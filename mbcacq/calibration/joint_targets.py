@@ -73,5 +73,6 @@ def error_twist(T: np.ndarray, goals: np.ndarray) -> np.ndarray:
 
 
 def _reason(cell: CalibratedCell, at_limit: np.ndarray) -> str:
-    stopped = ", ".join(cell.fit.observations.cell.robot.axes[i] for i in np.flatnonzero(at_limit))
+    axes = cell.axes
+    stopped = ", ".join(axes[i] for i in np.flatnonzero(at_limit))
     return f"{stopped} stands at its limit" if stopped else "out of reach, or in a singular posture"

@@ -34,7 +34,7 @@ def joints_without_drive(candidate: Candidate, robot: RobotModel) -> str:
     permitted = declaration(candidate.name).drives
     if not permitted:
         return ""
-    stated = [robot.drive(joint) for at in candidate.where if (joint := robot.axis(at)) is not None]
+    stated = [robot.drive(joint) for at in candidate.where if (joint := robot.axis(at)) is not None and joint not in robot.chain.sliding]
     wrong = [drive for drive in stated if drive not in permitted]
     if not wrong:
         return ""
