@@ -72,5 +72,5 @@ def test_effects_of_angles_are_not_asked_of_a_slide():
     found, _ = catalogue.candidates(Context(obs, truth.truth, predict(obs, truth.truth)))
     at_the_track = [c for c in found if "E1" in c.where]
     assert {c.name for c in at_the_track} == {"joint_scale", "axis_error_motion"}
-    assert {part.covariates for c in at_the_track for part in c.parts()} == {frozenset({"sE1"})}
+    assert {part.covariates for c in at_the_track for part in c.parts(0.0)} == {frozenset({"sE1"})}
     assert {"A1", "A2"} <= {c.where[0] for c in found}

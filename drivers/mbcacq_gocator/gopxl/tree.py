@@ -9,7 +9,7 @@ from mbcacq.devices import ConfigError, ConnectError, IdentityError, ProtocolErr
 from mbcacq_gocator.gopxl.control import GoPxLControl
 
 SYSTEM, START, STOP = "/system", "/system/commands/start", "/system/commands/stop"
-JOBS, JOB_FILES, LOAD_JOB = "/jobs", "/jobs/files", "/jobs/commands/load"
+JOBS, LOAD_JOB = "/jobs", "/jobs/commands/load"
 GDP, GDP_OUTPUTS = "/controls/gocator", "/controls/gocator/outputs"
 READY, RUNNING, CONFLICT = 0, 1, 2
 SOFTWARE_TRIGGER, SURFACE_MODE, SINGLE_EXPOSURE = 3, 3, 0

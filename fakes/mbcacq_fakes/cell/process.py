@@ -255,7 +255,7 @@ class Servers:
         return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
-        """Start a Modbus server at the plan's port or a free one; RTU on a pseudo-terminal."""
+        """Start a Modbus server at the plan's port or a free one; RTU as behind a serial server."""
         bus.rtu = options.serial is not None and self._job["ports"] == "free"
         if self._job["ports"] == "plan":
             if options.host not in ("127.0.0.1", "localhost"):
@@ -271,11 +271,8 @@ class Servers:
         self._stack.callback(bus.stop)
         if bus.positioner is not None:
             self._bus = bus
-        if bus.rtu and sys.platform != "win32":
-            from mbcacq_fakes.cell.terminal_bridge import TerminalBridge
-
-            bridge = self._stack.enter_context(TerminalBridge(bus.host, bus.port))
-            return {"host": None, "serial": bridge.url, "parity": "N"}  # a pseudo-terminal knows no parity
+        if bus.rtu:
+            return {"host": None, "serial": f"socket://{bus.host}:{bus.port}"}  # as behind a serial server
         return {"host": bus.host, "port": bus.port, "serial": None}
 
     def _value(self, name: str) -> Any:

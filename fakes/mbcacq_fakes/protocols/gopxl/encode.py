@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
 from mbcacq_fakes.world.frame import ScannerFrame
 
-STAMP, UNIFORM_PROFILE, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 12, 14, 15, 19, 10
+STAMP, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 14, 15, 19, 10
 
 
 def common(source: str, set_id: int, last: bool, output: int, space: int = 1) -> bytes:
@@ -51,20 +51,6 @@ def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: fl
     section += struct.pack("<3d3dIf", *scaling.scale, *scaling.offset, 1, exposure_us * 1e3)
     section += (b"" if uniform else b"\0") + (struct.pack("<i", 1) if new_form else b"")
     return section + np.ascontiguousarray(raw, "<i2").tobytes() + (np.ascontiguousarray(grey).tobytes() if sends_grey else b"")
-
-
-def profile(frame: ScannerFrame, exposure_us: float) -> bytes:
-    """Body of a uniform profile: the middle row of the surface, without grey values."""
-    raw, _, scaling = uniform_grid(frame.xyz * np.array([-1, 1, 1], np.float32), frame.intensity)
-    row = np.ascontiguousarray(raw[len(raw) // 2], "<i2")
-    scale, offset = scaling.scale, scaling.offset
-    return struct.pack("<HII4df", 46, len(row), 0, scale[0], scale[2], offset[0], offset[2], exposure_us * 1e3) + row.tobytes()
-
-
-def middle_of_profile(frame: ScannerFrame) -> float:
-    """The middle of a box around the points of the middle row, along x in the sensor's frame (mm); NaN without a point."""
-    x = -frame.xyz[len(frame.xyz) // 2, :, 0]
-    return float(np.nanmin(x) + np.nanmax(x)) / 2 if np.any(np.isfinite(x)) else float("nan")
 
 
 def measurement(value: float, new_form: bool) -> bytes:

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
+from mbcacq_fakes.protocols.gocator.data_faults import spoiled
+from mbcacq_fakes.protocols.gocator.publish import Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
 from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
@@ -25,8 +26,7 @@ from mbcacq_fakes.protocols.tcp_server import ClientThreads
 from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]
-_GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
-_POLL_S, _WAITING, _MOST_RECORDED = 0.02, 16, 50
+_POLL_S, _WAITING = 0.02, 16
 _log = logging.getLogger("mbcacq.fakes.gopxl")
 
 
@@ -68,11 +68,9 @@ class FakeGoPxL(SensorServer):
         self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
         super().__init__(self.settings.host, Faults(FAULTS), threading.Event(), ClientThreads())
         self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
-        self._watchers = control.Watchers(lambda path: self.resources.handle("read", path, {}, {}))
-        self.resources.changed = self._watchers.tell
         self.data = Publisher()
         self._asked: queue.Queue[None] = queue.Queue(_WAITING)
-        self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
+        self._made, self._born = 0, time.monotonic()
 
     def open(self) -> GoPxLDiscovery | None:
         s = self.settings
@@ -113,9 +111,7 @@ class FakeGoPxL(SensorServer):
         }
 
     def _accept_control(self, sock: socket.socket) -> None:
-        self._controls.serve(
-            sock, lambda client: control.serve(control.ControlClient(client, self._watchers), self.resources.handle, self.faults)
-        )
+        self._controls.serve(sock, lambda client: control.serve(client, self.resources.handle, self.faults))
 
     def _ask(self) -> None:
         try:
@@ -128,35 +124,16 @@ class FakeGoPxL(SensorServer):
             try:
                 self._asked.get(timeout=_POLL_S)
             except queue.Empty:
-                self._watchers.stream()
-                if not self._due():
-                    continue
+                continue
             try:
                 self._expose()
             except Exception:
                 _log.exception("the exposure failed; no data set is sent")
 
-    def _due(self) -> bool:
-        """Whether the time trigger, or a replay, exposes now."""
-        period, now = self.resources.free_period_s, time.monotonic()
-        if period is None or now < self._next_free:
-            self._next_free = self._next_free if period is not None else 0.0
-            return False
-        self._next_free = now + period
-        return True
-
-    def _frame(self) -> ScannerFrame:
-        if self.resources.replaying and (kept := self.resources.next_recorded()) is not None:
-            return kept
-        frame = self.source(self.resources.exposure_us)
-        if self.resources.recording and len(self.resources.recorded) < _MOST_RECORDED:
-            self.resources.recorded.append(frame)
-        return frame
-
     def _expose(self) -> None:
         if self.settings.scan_time_s and self._closing.wait(self.settings.scan_time_s):
             return
-        frame = self._frame()
+        frame = self.source(self.resources.exposure_us)
         self._made += 1
         self.resources.scan_count = self._made
         self.data.wait_for_client(0.5)
@@ -169,19 +146,10 @@ class FakeGoPxL(SensorServer):
         time_s = frame.time_s if self._clock and frame.time_s else time.monotonic() - self._born
         index = 0 if self.faults.use("old_frame") else self._made
         parts: list[tuple[int, str, int, bytes]] = []
-        stamps = (resources.STAMP, resources.LASER_STAMP)
-        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] not in stamps, o["outputId"])):
+        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] != resources.STAMP, o["outputId"])):
             source, number = output["source"], output["outputId"]
             uniform = source == resources.UNIFORM
-            if source == resources.LASER_PROFILE:
-                parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
-            elif source == resources.LASER_SURFACE:
-                body = encode.surface(frame, True, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
-                parts.append((encode.UNIFORM_SURFACE, source, number, body))
-            elif source == resources.TOOL:
-                middle = encode.measurement(encode.middle_of_profile(frame), s.new_form)
-                parts.append((encode.MEASUREMENT, source, number, middle))
-            elif source in stamps:
+            if source == resources.STAMP:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):
                 body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
@@ -193,34 +161,17 @@ class FakeGoPxL(SensorServer):
 
     def _spoiled(self, messages: list[bytes]) -> list[object]:
         """The messages as the active faults let them out."""
-        faults = self.faults
-        whole: dict[str, list[object]] = {"no_data": [], "close_data": [CLOSE], "garbage": [_GARBAGE]}
-        for fault, instead in whole.items():
-            if faults.use(fault):
-                return instead
         at = next((i for i, m in enumerate(messages) if m[4] in (encode.UNIFORM_SURFACE, encode.SURFACE_POINTS)), None)
         if at is None:
             return list(messages)
-        before, body, after = messages[:at], messages[at], messages[at + 1 :]
-        replaced: dict[str, Callable[[Any], list[object]]] = {
+        unknown = encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this")
+        own: dict[str, Callable[[Any], list[object]]] = {
             "stamp_only": lambda _: [encode.message(encode.NULL, encode.common("", self._made, True, 0), b"\6\0\1\0\0\0")],
-            "null_surface": lambda status: [self._null(status), *after],
-            "close_in_message": lambda _: [body[: len(body) // 2], CLOSE],
-            "stall": lambda _: [body[: len(body) // 2], MUTE],
-            "short_message": lambda _: [_shortened(body), *after],
-            "unknown_type": lambda _: [encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this"), body, *after],
+            "null_surface": lambda status: [self._null(status), *messages[at + 1 :]],
+            "unknown_type": lambda _: [unknown, *messages[at:]],
         }
-        for fault, make in replaced.items():
-            if (value := faults.use(fault)) is not None:
-                return [*before, *make(value)]
-        return list(messages)
+        return spoiled(messages, at, self.faults, own)
 
     def _null(self, status: int) -> bytes:
         body = b"\6\0" + int(status).to_bytes(4, "little", signed=True)
         return encode.message(encode.NULL, encode.common(resources.POINTS, self._made, True, 1), body)
-
-
-def _shortened(message: bytes) -> bytes:
-    short = bytearray(message[: max(len(message) * 3 // 4, 70)])
-    short[:4] = len(short).to_bytes(4, "little")
-    return bytes(short)
