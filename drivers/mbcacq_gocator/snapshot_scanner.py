@@ -1,4 +1,4 @@
-"""What the drivers of both generations of snapshot sensors do alike: connect, expose, and put back what was changed."""
+"""What the drivers of both generations of sensors do alike: connect, expose or stream profiles, and put back what was changed."""
 
 from __future__ import annotations
 
@@ -6,14 +6,30 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
 
-from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, Fact, IdentityError, ProtocolError, Scan
+import numpy as np
+
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceTimeout,
+    Fact,
+    IdentityError,
+    Profiles,
+    ProtocolError,
+    Scan,
+)
 from mbcacq_gocator.named_errors import named
+from mbcacq_gocator.profiles import ProfileSource, ProfileStream
+from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 FINEST_US = 0.51  # a sensor may keep whole microseconds
 RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
 
 
-class Session(Protocol):
+class Session(ProfileSource, Protocol):
     """A connection to a sensor, with what has been agreed over it. exposure: see ``exposure_reported``."""
 
     exposure: str
@@ -41,9 +57,11 @@ def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
 class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     """Implements mbcacq.devices.Scanner. Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``."""
 
-    def __init__(self, name: str, model: str, exposure_us: float | None, description: Description) -> None:
+    def __init__(self, name: str, model: str, options: SnapshotOptions, description: Description) -> None:
         self.name, self.model = name, model
-        self._exposure_us, self._description = exposure_us, description
+        self._exposure_us, self._description = options.exposure_us, description
+        self._mode, self._timeout_s = options.mode, options.timeout_s
+        self._stream: ProfileStream | None = None
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
         self._session: S | None = None
@@ -53,6 +71,9 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     @abstractmethod
     def _opened(self) -> S:
         """A new session, and what the sensor is in the description."""
+
+    def _watch(self, session: S) -> None:
+        """Look at the sensor's health before it measures. Raises DeviceFault where it may not go on."""
 
     @abstractmethod
     def _expose(self, session: S) -> Scan:
@@ -88,10 +109,13 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say, over a new connection where the sensor has closed the last one meanwhile.
 
-        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted (``stop`` was called).
+        Raises ConfigError (it streams profiles), DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted
+        (``stop`` was called).
         """
         if not self._wanted:
             raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        if self._mode == "profile":
+            raise ConfigError(f"scanner '{self.name}' streams profiles; use a step 'sweep', or another mode in its options")
         with self._one_capture:
             if exposure_us is not None:
                 self._exposure_us = exposure_us
@@ -108,6 +132,25 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
                 if self._cancel.is_set() and isinstance(error, ConnectError):
                     raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
                 raise
+
+    def start_profiles(self) -> None:
+        if self._mode != "profile":
+            raise ConfigError(f"scanner '{self.name}' takes {self._mode} scans; say mode: profile in its options")
+        with named(self.name):
+            session = self._connect()
+            self._watch(session)
+            self._stream = ProfileStream(session, self._timeout_s, -np.inf if self._stream is None else self._stream.latest_s)
+
+    def profiles(self) -> Profiles:
+        if self._stream is None:
+            raise ConfigError(f"scanner '{self.name}' takes no profiles; call start_profiles first")
+        with named(self.name):
+            return self._stream.taken()
+
+    def end_profiles(self) -> None:
+        if self._stream is not None:
+            with named(self.name):
+                self._stream.end()
 
     def _connect(self) -> S:
         if self._session is not None and self._session.has_ended:

@@ -94,7 +94,7 @@ def load_arm(path: Path | str) -> MujocoArm:
         model = spec.compile()
     except (ValueError, OSError) as error:
         raise ConfigError(f"{path}: MuJoCo cannot read it: {str(error).splitlines()[0]}; correct the file") from None
-    missing = [f"A{k + 1}" for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
+    missing = [robot.axes[k] for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
     if missing:
         raise ConfigError(f"{path}: the joint of {missing[0]} is without a name; name all joints of the arm")
     _resolve_frames(spec, model, imported.joints)
@@ -170,8 +170,8 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
                 span = f"{in_degrees(least):.1f} to {in_degrees(most):.1f}°"
                 limits = f"{in_degrees(low):.1f} to {in_degrees(high):.1f}"
                 raise ConfigError(
-                    f"{where}: A{k + 1} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the order "
-                    "of the joints, or their zeros and directions differ: correct the recording or the model"
+                    f"{where}: {arm.robot.axes[k]} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the "
+                    "order of the joints, or their zeros and directions differ: correct the recording or the model"
                 )
 
 

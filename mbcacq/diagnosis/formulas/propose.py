@@ -160,7 +160,7 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     for effect in effects:
         other = [w for a in effect.alternatives if a.name == UNKNOWN and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]
         for name in (name for name in (*effect.where, *effect.equivalent, *other) if name in known):
-            behind = name if name == "scanner" else f"A{min(known[name].frame + 1, context.n)}"
+            behind = name if name == "scanner" else context.axes[min(known[name].frame, context.n - 1)]
             found |= {name: known[name], behind: known[behind]}
     return list(found.values())
 

@@ -32,8 +32,8 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
-        axis = f"A{j + 1}"
-        here = (axis,), f"qd{j + 1}"
+        axis = group.axes[j]
+        here = (axis,), f"qd{group.tags[j]}"
         lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
         loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
         out.append(Candidate(NAME, *here, MotionRows((j,), _lag), _lag_report(axis), lag, positive=True, variant="fast"))
