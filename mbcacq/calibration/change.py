@@ -143,7 +143,7 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
         scale[:, :3, 0] = 1e-6 * obs.xyz
         yield KindOfChange("scale", "", ("scale",), ("ppm",), scale, every, 0.05)
     for j in range(n):
-        yield KindOfChange("joint", str(j + 1), (f"A{j + 1}",), ("rad",), unit("joint", j, 1), every, 0.25 / n)
+        yield KindOfChange("joint", obs.cell.robot.tags[j], (obs.cell.robot.axes[j],), ("rad",), unit("joint", j, 1), every, 0.25 / n)
     station = unit("station", 0, 6)
     order = obs.station[obs.measuring_order]
     for s in np.unique(obs.station):
