@@ -45,6 +45,7 @@ from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.recording import load_observations
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition, solver_cell
+from mbcacq.workflow.diagnose import diagnose
 from mbcacq.workflow.dry_run import device_overrides
 from mbcacq.workflow.merge_scans import merge_scans
 
@@ -229,6 +230,32 @@ def whole(args: argparse.Namespace) -> None:
         )
 
 
+def confirm(args: argparse.Namespace) -> None:
+    """Concealed elasticity of A2 and A3, found in the balls of plans/concealed.yaml, and tried on 25 scans of a part."""
+    plan, part = (yaml12.load((PLANS / f"{name}.yaml").read_text(encoding="utf-8")) for name in ("concealed", "part"))
+    plan["artefacts"].append("parts/freeform.yaml")
+    plan["stations"].append({"id": "part", "artefact": "freeform", "pose_in_base": {"translation_mm": [760, 0, 120], "abc_deg": [0, 0, 0]}})
+    at = [[-50, -25, 40], [50, 25, 40], [-50, 25, 40], [50, -25, 40], [0, 0, 40]]
+    ways = [(10, 0, "positive"), (33, 60, "positive"), (30, -60, "negative"), (36, 20, "positive"), (30, 100, "negative")]
+    each = [(p, *way) for way in ways for p in at]
+    views = [
+        {"at_mm": p, "tilt_deg": tilt, "azimuth_deg": 137 * k % 360, "roll_deg": roll, "wrist": wrist}
+        for k, (p, tilt, roll, wrist) in enumerate(each)
+    ]
+    plan["steps"].insert(-1, part["steps"][3] | {"views": views})
+    plan["scanner"]["resolution_mm"] = 0.6
+    sizes = {"A2": args.compliance * 1e-6, "A3": 1.5 * args.compliance * 1e-6}
+    plan["fake"] = {"seed": 1, "hidden": [{"name": "joint_compliance", "where": w, "compliance_rad_per_Nm": s} for w, s in sizes.items()]}
+    loaded = load(PLANS / "confirm.yaml", yaml12.dump(plan))
+    poses = expand(loaded)
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        run = plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell")
+        run.folder = new_run_folder(Path(folder) / "run", "part")
+        with device_overrides(loaded, poses, dry_run=True, seed=0, assume_yes=True) as overrides:
+            run.execute(overrides, [])
+        print(diagnose(run.folder, workers=1).text)
+
+
 def memory(args: argparse.Namespace) -> None:
     """Peak memory of a merge, by the number of points."""
     import part_shapes
@@ -269,6 +296,7 @@ if __name__ == "__main__":
                 "steps": (steps, [option("--pairs", type=int, default=40, help="pairs of each shape")]),
                 "check": (check, [COUNT]),
                 "whole": (whole, [COUNT, option("--first", type=int, default=1), option("--folder", type=Path, default=Path())]),
+                "confirm": (confirm, [option("--compliance", type=float, default=5.0), option("--folder", type=Path, default=Path())]),
                 "views": (views, [option("--cells", type=int, default=3, help="seeds"), option("--starts", type=int, default=50)]),
                 "memory": (
                     memory,

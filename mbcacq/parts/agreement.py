@@ -107,39 +107,34 @@ class Agreement:
         }
 
 
-def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
-    """Compare all scans that overlap, once all are brought together. scans: thinned, with their surfaces.
-
-    Raises ConfigError if no two overlap enough.
-    """
+def agreement(scans: Sequence[ScanSurface], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
+    """Compare all scans that overlap, thinned, once all are brought together. Raises ConfigError if no two overlap enough."""
     best = placements[-1]
-    T = np.stack([best.frame(scan.q) for scan, _ in scans])
+    T = np.stack([best.frame(scan.q) for scan in scans])
     # As the effects have their points.
-    placed = [
-        ScanSurface(se3.apply(se3.inverse(M), best.to_base(scan.q, surface.points)), surface.normals)
-        for M, (scan, surface) in zip(T, scans, strict=True)
-    ]
+    back = se3.inverse(T)
+    placed = [replace(scan, points=se3.apply(M, best.to_base(scan.q, scan.points))) for M, scan in zip(back, scans, strict=True)]
     together = brought_together(placed, T, options)
     cells, noise = together.cells, together.noise.of_two
-    moved = together.T_base_scanner @ se3.inverse(T)
+    moved = together.T_base_scanner @ back
     found = []
     for i, j in _pairs(cells, len(scans), options):
         step = rigid_step(cells.pair(i, j), noise, options)
         taken = [np.r_[se3.apply(moved[k], step.centre) - step.centre, se3.rotation_log(moved[k, :3, :3])] for k in (i, j)]
         step = replace(step, twist=step.shown(step.twist - taken[0] + taken[1]))
-        found.append(_pair([scans[k][0] for k in (i, j)], T[[i, j]], step, placements))
+        found.append(_pair([scans[k] for k in (i, j)], T[[i, j]], step, placements))
     used = {pose for pair in found for pose in pair.poses}
     # Where the part is smooth, the scatter is the scanner's own.
     scatter = float(np.quantile(np.concatenate([pair.step.cells.scatter for pair in found]), 0.25))
-    alone = tuple(scan.number for scan, _ in scans if scan.number not in used)
+    alone = tuple(scan.number for scan in scans if scan.number not in used)
     return Agreement(tuple(p.name for p in placements), tuple(found), noise, scatter, alone)
 
 
-def offsets(scans: Sequence[tuple[PartScan, ScanSurface]], placement: CellPlacement, times: float, options: PartOptions) -> np.ndarray:
+def offsets(scans: Sequence[ScanSurface], placement: CellPlacement, times: float, options: PartOptions) -> np.ndarray:
     """(g, 4): middles of the cells that scans share, as each of them has it: off their mean by so many times as much (mm, base frame), and
     the index of the scan."""
-    placed = [(placement.to_base(one.q, s.points), s.normals @ placement.frame(one.q)[:3, :3].T) for one, s in scans]
-    cells = surface_cells(placed, cell_edge([s for _, s in scans], options), options)
+    placed = [(placement.to_base(one.q, one.points), one.normals @ placement.frame(one.q)[:3, :3].T) for one in scans]
+    cells = surface_cells(placed, cell_edge(scans, options), options)
     mean = np.bincount(cells.cell, cells.height) / np.bincount(cells.cell)
     off = times * (cells.height - mean[cells.cell])
     return np.column_stack([cells.point[cells.cell] + off[:, None] * cells.normal[cells.cell], cells.scan])

@@ -132,7 +132,7 @@ def merge_scans(
     voxel = voxel_mm or VOXELS_PER_SPACING * apart
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
-    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen])
+    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan in seen])
     merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
     drawn = {way.name: offsets(seen, way, EXAGGERATED, o) for way in (ways[0], ways[-1])}
     deviations = None

@@ -34,9 +34,9 @@ def scenes_as_observations(source: Path, obs: Observations) -> Observations:
     for station in stations_of_parts(obs):
         try:
             scans, _ = thinned_scans(source, obs, station)
-            poses = np.array([pose_of[scan.number] for scan, _ in scans])
+            poses = np.array([pose_of[scan.number] for scan in scans])
             placed = chain.flange(obs.q[poses]) @ obs.cell.T_flange_scanner
-            scene = register([surface for _, surface in scans], placed, PartOptions())
+            scene = register(scans, placed, PartOptions())
         except ConfigError as error:
             raise ConfigError(f"station '{station}': {error}") from None
         scenes[station] = scene, np.delete(poses, list(scene.left_out))
@@ -92,7 +92,7 @@ def _trial_on_part(source: Path, obs: Observations, station: str, name: str, cel
     )
 
 
-def thinned_scans(source: Path, obs: Observations, station: str) -> tuple[list[tuple[PartScan, ScanSurface]], float]:
+def thinned_scans(source: Path, obs: Observations, station: str) -> tuple[list[ScanSurface], float]:
     """The first exposure of every pose at a station, thinned; and the median spacing of the points in mm.
 
     Further exposures of a pose stand where the first one does: they tell nothing of the cell.
@@ -101,11 +101,10 @@ def thinned_scans(source: Path, obs: Observations, station: str) -> tuple[list[t
     count = int((obs.station == [s.id for s in obs.cell.stations].index(station)).sum())
     most = min(o.points_per_scan, o.points_in_memory // max(count, 1))
     for scan in scans_at(source, obs, station)():
-        if kept and scan.number == kept[-1][0].number:
+        if kept and scan.number == kept[-1].number:
             continue
         surface = surface_of(scan)
-        some = thinned(surface, most)
-        kept.append((PartScan(scan.number, scan.q, some.points), some))
+        kept.append(thinned(surface, most))
         apart.append(spacing(surface.points))
     if not kept:
         raise ConfigError("the recording holds no scan of the part; was it recorded with keep_clouds, or are its clouds in scans/POSE.ply?")

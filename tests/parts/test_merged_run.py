@@ -129,7 +129,7 @@ def test_a_part_that_moved_is_no_matter_of_the_calibration(run):
     scans = []
     for k, scan in enumerate(_scans(folder, observations)):
         moved = PartScan(scan.number, scan.q, scan.points + [0.0, 0.0, 0.15 * (k >= 4)])
-        scans.append((moved, thinned(surface_of(moved), 20_000)))
+        scans.append(thinned(surface_of(moved), 20_000))
     found = agreement(scans, placements(cell), PartOptions())
     assert found.ratio > 2
     assert "the part, the mount or the arm moved" in found.sentence
@@ -198,7 +198,7 @@ def test_scans_fit_once_the_part_alone_calibrated_hand_eye_and_arm(run):
     options = options_for(alone, CalibrationOptions())
     assert options.kinematics
     found = calibrate(alone, options)
-    scans = [(scan, thinned(surface_of(scan), 8_000)) for scan in _scans(folder, observations)]
+    scans = [thinned(surface_of(scan), 8_000) for scan in _scans(folder, observations)]
     fitted = agreement(scans, placements(found), PartOptions())
     assert fitted.rms_mm("geometry") < fitted.rms_mm("before") / 5
     assert fitted.ratio < 1.8
