@@ -204,19 +204,11 @@ class TimeBudget:
 UNLIMITED = TimeBudget()
 
 
-@dataclass(frozen=True)
-class Executor:
-    """What computes one diagnosis: its processes, and the time that it may take."""
-
-    pool: WorkerPool
-    budget: TimeBudget
-
-
 @contextmanager
-def executor(workers: int, minutes: float | None) -> Iterator[Executor]:
-    """An executor of so many processes, no more than there are parts of a validation, each with one thread. minutes: None for no end."""
+def processes(workers: int) -> Iterator[WorkerPool]:
+    """A pool of so many processes, no more than there are parts of a validation, each with one thread."""
     with one_thread(), freed_memory_kept(), WorkerPool(min(workers, OPTIONS.folds)) as pool:
-        yield Executor(pool, TimeBudget.of_minutes(minutes))
+        yield pool
 
 
 class Refitting:

@@ -31,20 +31,20 @@ def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
     """Scores of the candidates whose hyper-parameter has few values, all in one product."""
-    batch = projected.batch(candidates)
-    logs = np.zeros(len(batch.fixed.entries))
-    absorbed = (projected.conditioned.T @ batch.X).T
-    for (entries, columns), (S, b) in zip(batch.fixed.sizes, batch.blocks, strict=True):
+    fixed, X, blocks = projected.batch(candidates)
+    logs = np.zeros(len(fixed.entries))
+    absorbed = (projected.conditioned.T @ X).T
+    for (entries, columns), (S, b) in zip(fixed.sizes, blocks, strict=True):
         gone = absorbed[columns]
-        typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
+        typical = np.array([fixed.entries[e][0].typical for e in entries])
         A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])
         a = (b - gone @ projected.along) * typical
-        kinds = [(batch.fixed.entries[e][0].positive, batch.fixed.entries[e][0].least_size) for e in entries]
+        kinds = [(fixed.entries[e][0].positive, fixed.entries[e][0].least_size) for e in entries]
         for positive, least in set(kinds):
             mine = np.array([kind == (positive, least) for kind in kinds])
             logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], np.array(possible_sizes(least)), positive)
     values: dict[str, list[tuple[Candidate, float | None, float]]] = {}
-    for (candidate, hyper), log in zip(batch.fixed.entries, logs, strict=True):
+    for (candidate, hyper), log in zip(fixed.entries, logs, strict=True):
         values.setdefault(candidate.key, []).append((candidate, hyper, float(log)))
     out = []
     for each in values.values():
