@@ -37,11 +37,6 @@ USUAL = {TRIM_THRESHOLD: 128 * 1024, MMAP_MAX: 65536}
 KEPT = {TRIM_THRESHOLD: 2**31 - 1, MMAP_MAX: 0}
 
 
-def keep_freed_memory() -> None:
-    """For the rest of the process."""
-    _set(KEPT)
-
-
 @contextmanager
 def freed_memory_kept() -> Iterator[None]:
     """For as long as the context lasts; afterwards the system gets back what is free.
@@ -86,7 +81,7 @@ def cores() -> int:
 def _begun() -> None:
     """What another process does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    keep_freed_memory()
+    _set(KEPT)
 
 
 def _unpacked(call: bytes) -> Any:

@@ -22,7 +22,6 @@ from mbcacq.model.robot_import.mjcf import is_gear_spring, placeholder_masses, p
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.quantities import in_degrees
 
-MODEL_FILES = (".xml", ".mjcf", ".urdf")
 LIMIT_SLACK_RAD = 1e-3  # by which a recorded angle may lie outside the model's range
 SETTLING_S = 0.4  # at the first command, before a run that starts at rest
 REST_RAD_S = 2e-3

@@ -119,7 +119,7 @@ def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.
         raise CalibrationError("fewer than three poses show the same four balls; the virtual point of the paper's method needs them")
     rows = rows[np.isin(chosen.pose[rows], whole)]
     points = chosen.xyz[rows].reshape(len(whole), VIRTUAL_BALLS, 3)
-    return obs.cell.robot.chain.flange(chosen.q[whole]), virtual_points(points)
+    return obs.cell.robot.chain.flange(chosen.q[whole]), points.mean(axis=1)  # Eq. 5
 
 
 def point_spread(obs: Observations, X: np.ndarray) -> float:
@@ -130,11 +130,6 @@ def point_spread(obs: Observations, X: np.ndarray) -> float:
 def _spread(T: np.ndarray, virtual: np.ndarray) -> float:
     base = se3.apply(T, virtual)
     return float(np.sqrt(np.mean(np.sum((base - base.mean(axis=0)) ** 2, axis=1))))
-
-
-def virtual_points(points: np.ndarray) -> np.ndarray:
-    """Barycentres (P, 3) of the balls of each pose (P, B, 3); the paper takes four balls (Eq. 5)."""
-    return points.mean(axis=1)
 
 
 def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -> np.ndarray:

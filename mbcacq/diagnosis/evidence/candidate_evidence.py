@@ -83,12 +83,7 @@ def log_factors(projected: CandidateScoring, candidate: Candidate, values: Seque
     """(H,) log Bayes factors of a candidate at values of its hyper-parameter."""
     S, b = projected.normal_matrices(candidate, values)
     t = candidate.typical
-    return log_bayes_factors(S * np.outer(t, t), b * t, sizes_of(candidate), candidate.positive)
-
-
-def sizes_of(candidate: Candidate) -> np.ndarray:
-    """Sizes of its coefficients, in typical ones."""
-    return np.array(possible_sizes(candidate.least_size))
+    return log_bayes_factors(S * np.outer(t, t), b * t, np.array(possible_sizes(candidate.least_size)), candidate.positive)
 
 
 def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scored:
