@@ -156,7 +156,7 @@ PAGE = """# Learnt over a third, tried over all
 **Question.** Does a calibration with what a diagnosis found hold where it was not learnt?
 `python benchmarks/effects_loop.py third --first 5001 --write`
 
-A simulated arm is measured by a tracker in 120 postures, each joint within a third of its range, and diagnosed. It is calibrated with what
+A simulated arm is tracked in 120 postures, each joint within a third of its range, and diagnosed. It is calibrated with what
 was found and as geometry alone. Both are tried in 150 postures over all of the ranges, where base and tool alone are fitted. A cell
 conceals one effect of the catalogue (seven kinds), one of functions outside of it (another joint's angle, two joints, a slow eccentricity,
 a bump, a torque that stiffens), or one of each. One effect turns a joint by 0.05 to 1 mrad. Asked: with what was found never more than 5 %
@@ -167,10 +167,9 @@ statements lie within 0.8 to 1.2. Each cell is therefore also compared with its 
 sqrt(chi2(f; 2.5 %, 97.5 %) / f) times the expected rms, with f = tr(S)^2 / tr(S^2) of the stated covariance S of all normalised errors
 (Satterthwaite). NEES is the square of error over uncertainty.
 
-**What is stated beyond the third.** The covariance of links and effects; an unmodelled function of one angle or moment as a smooth process
-over all that the joint reaches, whose size is uncertain too; a named effect that is held, or a law that goes on, with an error of its own;
-the lost motion of a typical gear where gravity turns a joint to a side that was not learnt. The statement falls short where a name is
-wrong, where a function is of two angles or acts at a frame, and where nothing shows within the third."""
+**The uncertainty beyond the third** includes the covariance of links and effects; an unmodelled function of one angle or moment as a
+smooth process of uncertain size over the whole range; an error of its own for a named effect; the lost motion of a typical gear. It is too
+small if a name is wrong, a function is of two angles or acts at a frame, or nothing shows within the third."""
 
 
 def page(kept: list[dict[str, Any]]) -> str:

@@ -80,7 +80,7 @@ class Transfer(AsJson):
         what is tried.
     robust : TransferFigures or None
         ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None if there are none. All
-        other figures are of every centre: what is tested does not choose by what.
+        other figures include every centre: a tested cell must not select its own test.
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None
@@ -247,7 +247,7 @@ def reversed_loads(obs: Observations, cell: CalibratedCell) -> tuple[str, ...]:
     found = reversed_joints(obs, cell)
     if not found:
         return ()
-    names, largest = ", ".join(f"A{j + 1}" for j in found), max(float(there.mean()) for there in found.values())
+    names, largest = ", ".join(obs.cell.robot.axes[j] for j in found), max(float(there.mean()) for there in found.values())
     return (
         f"gravity turns {names} the other way at up to {largest:.0%} of the poses, and hardly ever did where the arm was learnt: backlash "
         "and lost motion of their gears do not show there; the uncertainty stated here contains the lost motion of a typical gear",

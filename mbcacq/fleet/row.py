@@ -35,6 +35,8 @@ class FleetRow:
         Names of all free parameters, in the order of the covariance (rows one after the other).
     nominal : tuple[Figure, ...]
         MD-H rows of the nominal arm one after the other.
+    axes : tuple[str, ...]
+        Names of its axes; empty: A1 ..
     effects : tuple[str, ...] or None
         Effects that were found, as 'NAME at WHERE'.
     out_of_control : tuple[str, ...] or None
@@ -69,6 +71,7 @@ class FleetRow:
     out_of_control: tuple[str, ...] | None = None
     names: tuple[str, ...] = ()
     nominal: tuple[Figure, ...] = ()
+    axes: tuple[str, ...] = ()
     covariance: tuple[Figure, ...] = ()
 
     @classmethod

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,17 +18,17 @@ if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.report.content import Content, ReportVerdict
 
-__all__ = ["judged", "pdf_from_result", "report_from_result", "write_check_page", "write_diagnosis_page", "write_report_page"]
+__all__ = ["judged", "report_from_result", "write_check_page", "write_diagnosis_page", "write_report_page"]
 
 
 def report_from_result(
     result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None, run_info: Mapping[str, Any] | None = None
 ) -> Path:
-    """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not.
+    """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not; a PDF where the name ends in .pdf.
 
     observations: the recording, for residuals, histogram and coverage. run_info: what ``read_run_info`` returns for a run: optional texts
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'with_effects', 'devices', 'hashes'.
-    Raises ConfigError for a damaged result, RecordingError if the file cannot be written.
+    Raises ConfigError for a damaged result or if the libraries for a PDF are missing, RecordingError if the file cannot be written.
     """
     from mbcacq.report.sources.from_result import content_of
 
@@ -44,36 +45,22 @@ def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, st
 
 
 def write_report_page(content: Content, path: str | Path) -> Path:
-    """Write a report as one HTML page. Raises RecordingError if it cannot be written."""
+    """Write a report as one page. Raises as ``report_from_result``."""
     from mbcacq.report.page import render
 
-    return write_file(path, render(content))
-
-
-def pdf_from_result(
-    result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None, run_info: Mapping[str, Any] | None = None
-) -> Path:
-    """Write the report of a result.json as PDF; as ``report_from_result``.
-
-    Raises ConfigError too where the libraries for it are missing.
-    """
-    from mbcacq.report.page import render
-    from mbcacq.report.sources.from_result import content_of
-
-    content = content_of(result, observations, run_info)
-    return write_pdf(lambda: render(content, paper=True), path)
+    return _written(partial(render, content), path)
 
 
 def write_check_page(kept: Mapping[str, Any], path: str | Path) -> Path:
-    """Write the page of a check, of what it left in its folder; a PDF where the name ends in .pdf.
-
-    Raises ConfigError if the libraries for a PDF are missing, RecordingError if the file cannot be written.
-    """
+    """Write the page of a check, of what it left in its folder. Raises as ``report_from_result``."""
     from mbcacq.report.page import render_check
 
-    if Path(path).suffix.lower() == ".pdf":
-        return write_pdf(lambda: render_check(kept, paper=True), path)
-    return write_file(path, render_check(kept))
+    return _written(partial(render_check, kept), path)
+
+
+def _written(draw: Callable[..., str], path: str | Path) -> Path:
+    """Write what ``draw`` returns, or, where the name ends in .pdf, what it returns for paper."""
+    return write_pdf(partial(draw, paper=True), path) if Path(path).suffix.lower() == ".pdf" else write_file(path, draw())
 
 
 def write_diagnosis_page(

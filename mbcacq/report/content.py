@@ -361,7 +361,7 @@ class PartContent:
 @dataclass(frozen=True, kw_only=True)
 class Content:
     """All that a report says. It is about the cell with the effects of its diagnosis, if the run has these, else about its geometry.
-    earlier: the spacing with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with
+    earlier: the spacing without them, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with
     corrected targets."""
 
     title: str

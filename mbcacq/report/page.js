@@ -53,4 +53,16 @@
   const screen = () => plots.forEach((plot) => { tall(plot, 1); Plotly.relayout(plot, { width: undefined, autosize: true }); });
   window.addEventListener("beforeprint", () => { document.querySelectorAll("details.print").forEach((d) => { d.open = true; }); paper(); });
   window.addEventListener("afterprint", screen);
+  document.querySelectorAll(".slide").forEach((slide) => {  // before covers after up to the handle; without a script both stand one under the other
+    const label = document.createElement("label"), range = Object.assign(document.createElement("input"), { type: "range", value: 50 });
+    const move = () => {
+      slide.style.setProperty("--at", `${range.value}%`);
+      range.setAttribute("aria-valuetext", `before in the left ${range.value} %, after in the rest`);
+    };
+    label.append("move from after to before calibration", range);
+    slide.append(label);
+    slide.classList.add("slides");
+    range.addEventListener("input", move);
+    move();
+  });
 })();

@@ -17,7 +17,7 @@ from mbcacq.figure import Figure, drawing_library
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
 from mbcacq.report.charts import change_charts
 from mbcacq.report.charts.check_charts import check_figures
-from mbcacq.report.charts.spacing_svg import spacing_picture, stages_picture
+from mbcacq.report.charts.spacing_svg import slider_pictures, spacing_picture, stages_picture
 from mbcacq.report.charts.static_svg import static_svg
 from mbcacq.report.charts.style import PHASES, thinned
 from mbcacq.report.content import Content, DiagnosisContent, Spacing
@@ -53,6 +53,7 @@ def render(content: Content, *, paper: bool = False) -> str:
         paper=paper,
         np=np,
         picture=picture,
+        slides=[] if content.spacing is None else map(Markup, slider_pictures(content.spacing)),
         stages=stages,
         groups=groups(content),
         matrices=matrices(content),
@@ -65,7 +66,7 @@ def render(content: Content, *, paper: bool = False) -> str:
 
 def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
     """SVG of the bar before calibration, after geometry, and after effects."""
-    stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
+    stages = {"before": with_effects.before, "after calibration": geometry.after, "after effects": with_effects.after}
     expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))
     return stages_picture(with_effects.place, stages, expected)
 

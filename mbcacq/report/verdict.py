@@ -61,7 +61,7 @@ VERIFY_ON_VIEWS = (
 def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spacing | None = None) -> ReportVerdict:
     """Judge the verification against its limit, each place with the uncertainty of judging it.
 
-    earlier: the same places with the geometry alone, where the result has effects.
+    earlier: the same places without the effects, where the result has any.
     """
     fit = result["fit"]
     if spacing is None:
@@ -92,10 +92,10 @@ def largest_error(spacing: Spacing) -> str:
 
 
 def _compared(spacing: Spacing, earlier: Spacing | None) -> str:
-    """The largest error before calibration, and with the geometry alone where effects came after it."""
+    """The largest error before calibration, and without the effects where the cell has them."""
     before = [f"before calibration {spacing.mm(np.abs(spacing.before).max())} mm"]
     if earlier is not None:
-        before.append(f"with the geometry alone {spacing.mm(np.abs(earlier.after).max())} mm")
+        before.append(f"without the effects {spacing.mm(np.abs(earlier.after).max())} mm")
     return f" ({', '.join(before)})"
 
 

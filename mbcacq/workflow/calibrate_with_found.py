@@ -1,4 +1,4 @@
-"""Calibrate a recording with the effects that its diagnosis found, and compare the bar before, after geometry and after effects."""
+"""Calibrate a recording with the effects that its diagnosis found, and compare the bar before and after calibration, and after effects."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class CalibratedWithFound:
     @property
     def stages(self) -> dict[str, np.ndarray]:
         """Name of the stage -> (places,) signed sphere spacing errors in mm; without verification poses they are empty."""
-        out = {"before": self.by_geometry.errors("before"), "after geometry": self.by_geometry.errors("after")}
+        out = {"before": self.by_geometry.errors("before"), "after calibration": self.by_geometry.errors("after")}
         return out if self.by_effects is None else out | {"after effects": self.by_effects.errors("after")}
 
     @property

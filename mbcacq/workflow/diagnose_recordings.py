@@ -68,8 +68,8 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
 
 
 def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Question) -> DiagnosisResult:
-    """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of; what both decide is
-    what is kept.
+    """The diagnosis of poses with that of a motion. The poses are searched again with what the motion is sure of; what both decide is
+    kept.
     """
 
     if found.poses is None or found.observations is None or motion is None:

@@ -18,7 +18,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.report import pdf_from_result, report_from_result, write_check_page
+from mbcacq.report import report_from_result, write_check_page
 from mbcacq.report.sources.check_result import read_check_result
 from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
@@ -91,8 +91,7 @@ def _write(
         info |= _diagnosis(observations, run, progress)
     progress("drawing the report")
     target = Path(out) if out is not None else Path(run or "") / "report.html"
-    write = pdf_from_result if target.suffix.lower() == ".pdf" else report_from_result
-    return write(result, path=target, observations=observations, run_info=info)
+    return report_from_result(result, path=target, observations=observations, run_info=info)
 
 
 def _result(data: CalibratedCell | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.registers import Register
 from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 
+from mbcacq.conformance import Channel, PtyProxy
 from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, Sensor, create
 
 POSITION = {"address": 10, "type": "float32", "unit": "mm"}
@@ -193,16 +194,14 @@ def test_rtu_over_a_terminal_device_and_the_cable_pulled():
     with fake() as server:
         server.stop()
     with FakeModbus(server.positioner, rtu=True) as server:
-        from mbcacq_fakes.cell.terminal_bridge import TerminalBridge
-
-        with TerminalBridge(server.host, server.port) as cable:
+        with PtyProxy(Channel("line"), server.address) as cable:
             link = {k: v for k, v in options(server).items() if k not in ("host", "port")}
-            with ModbusPositioner("p", "", {**link, "serial": cable.url, "parity": "N", "baudrate": 115200}) as positioner:
+            with ModbusPositioner("p", "", {**link, "serial": cable.path, "parity": "N", "baudrate": 115200}) as positioner:
                 positioner.go_to("2", "")
                 # unit 1 | write 16, address 10, 2 registers, 4 bytes, 152.5 as IEEE 754 | CRC
                 assert server.received[0][:11] == bytes.fromhex("01 10 000a 0002 04 43188000")
                 assert server.positioner.station == "2"
-                cable.unplug()
+                cable.stop()
                 with pytest.raises(DeviceTimeout, match=r"broke the connection|was lost|gave no valid answer"):
                     positioner.go_to("1", "")
 

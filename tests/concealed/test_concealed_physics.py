@@ -55,7 +55,7 @@ def test_all_that_is_concealed_is_found_and_nothing_else(found, hidden):
 def test_the_bar_is_better_after_geometry_and_again_after_effects(calibrated):
     before, geometry, effects = (np.abs(e).mean() for e in calibrated.stages.values())
 
-    assert list(calibrated.stages) == ["before", "after geometry", "after effects"]
+    assert list(calibrated.stages) == ["before", "after calibration", "after effects"]
     assert effects < 0.02
     assert geometry < 0.02 < before  # what repeats is learnt as a smooth function of posture, before anything has a name
     assert effects < 0.5 * geometry
@@ -89,5 +89,5 @@ def test_a_limit_of_the_run_is_the_limit_of_its_cell_with_effects(found):
 def test_without_effects_there_are_two_stages_and_the_text_says_so(calibrated):
     nothing = replace(calibrated, with_effects=None, by_effects=None)
 
-    assert list(nothing.stages) == ["before", "after geometry"]
+    assert list(nothing.stages) == ["before", "after calibration"]
     assert "No effect was found" in nothing.text

@@ -49,7 +49,7 @@ def test_before_with_the_run_and_with_its_effects(concealed_run):
     assert bar(diagnosed.folder / "with-effects") < float(stated(r"and they leave less than ([\d.]+) mm"))
     assert "What next: calibrate" not in diagnosed.stdout + diagnosed.stderr  # it was done just now
     shown = Recording(diagnosed.folder / "result.rrd")
-    assert "with the geometry alone" in shown.text(layout.VERDICT)
+    assert "without the effects" in shown.text(layout.VERDICT)
     assert np.median(shown.scalars(f"{layout.RMS_POSE}/after")[f"/{layout.RMS_POSE}/after"]) < 30  # um; the noise is 13
 
 

@@ -117,8 +117,8 @@ def test_loops_functions_and_arrays():
         ("ENDLOOP", "p.src:2: ENDLOOP closes nothing"),
         ("fly()", "there is no fly"),
         ("out 3", "p.src:2: not understood"),
-        ("out=(3", "is missing before"),
-        ("out=3 4", "one word too many"),
+        ("out=(3", "p.src:2: .* is no expression"),
+        ("out=3 4", "p.src:2: .* is no expression"),
     ],
 )
 def test_mistakes_are_named(body, says):

@@ -193,3 +193,22 @@ def test_the_view_that_turns_is_turned_by_keys(whole_page):
         for kind in ("keyDown", "keyUp"):
             browser.call("Input.dispatchKeyEvent", type=kind, key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
         assert browser.run(picture) == before
+
+
+def test_before_and_after_are_moved_by_keys_and_stand_one_under_the_other_on_paper(whole_page):
+    tops = "Array.from(document.querySelectorAll('.slide figure')).map((figure) => Math.round(figure.getBoundingClientRect().top))"
+    with Browser() as browser:
+        browser.open(whole_page)
+        browser.run("document.querySelector('.slide input').focus()")
+        assert len(set(browser.run(tops))) == 1
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key="End", code="End", windowsVirtualKeyCode=35)
+        assert "left 100 %" in browser.run("document.activeElement.getAttribute('aria-valuetext')")
+        assert browser.run("getComputedStyle(document.querySelector('.slide figure')).clipPath") in (
+            "inset(0px)",
+            "inset(0px 0%)",
+            "inset(0px 0% 0px 0px)",
+        )
+        browser.call("Emulation.setEmulatedMedia", media="print")
+        before, after = browser.run(tops)
+        assert after > before + 100

@@ -11,14 +11,14 @@ from result_page import make_observations, make_result
 from mbcacq.cli.report import command
 from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure
-from mbcacq.report import pdf_from_result
+from mbcacq.report import report_from_result
 from mbcacq.report.charts.static_svg import static_svg
 
 
 @pytest.fixture(scope="module")
 def pdf(tmp_path_factory):
     path = tmp_path_factory.mktemp("paper") / "report.pdf"
-    return pdf_from_result(make_result(), path=path, observations=make_observations()).read_bytes()
+    return report_from_result(make_result(), path=path, observations=make_observations()).read_bytes()
 
 
 def streams(pdf):

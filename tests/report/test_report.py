@@ -127,7 +127,7 @@ def test_the_page_is_about_the_cell_with_its_effects_where_the_run_has_it(tmp_pa
     info = {"folder": "runs/today", "with_effects": better}
     words = page(tmp_path, make_result(), run_info=info).words
     assert "Largest sphere spacing error 0.0188 ± 0.0080 mm (k = 2)" in words
-    assert "with the geometry alone 0.4570 mm" in words
+    assert "without the effects 0.4570 mm" in words
     assert "mbcacq export runs/today/with-effects --results results" in words
 
 

@@ -139,16 +139,15 @@ class Servers:
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
+        line = LineCamera(self._camera, self._state) if settings["profiles"] else None
         if self._job["scanner_driver"] == "gopxl":
-            settings.pop("profiles")
             from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 
             _refuse_unknown(given, FakeGoPxLOptions)
-            return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), clock=lambda: 0.0)
+            return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), lambda: 0.0, line)
         from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 
         _refuse_unknown(given, FakeGocatorOptions)
-        line = LineCamera(self._camera, self._state) if settings.get("profiles") else None
         return FakeGocator(self._camera, FakeGocatorOptions(**settings), line)
 
     def _start_positioner(self) -> dict[str, Any]:
@@ -255,7 +254,7 @@ class Servers:
         return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
-        """Start a Modbus server at the plan's port or a free one; RTU on a pseudo-terminal."""
+        """Start a Modbus server at the plan's port or a free one; RTU as behind a serial server."""
         bus.rtu = options.serial is not None and self._job["ports"] == "free"
         if self._job["ports"] == "plan":
             if options.host not in ("127.0.0.1", "localhost"):
@@ -271,11 +270,8 @@ class Servers:
         self._stack.callback(bus.stop)
         if bus.positioner is not None:
             self._bus = bus
-        if bus.rtu and sys.platform != "win32":
-            from mbcacq_fakes.cell.terminal_bridge import TerminalBridge
-
-            bridge = self._stack.enter_context(TerminalBridge(bus.host, bus.port))
-            return {"host": None, "serial": bridge.url, "parity": "N"}  # a pseudo-terminal knows no parity
+        if bus.rtu:
+            return {"host": None, "serial": f"socket://{bus.host}:{bus.port}"}  # as behind a serial server
         return {"host": bus.host, "port": bus.port, "serial": None}
 
     def _value(self, name: str) -> Any:

@@ -70,7 +70,7 @@ def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> fl
 
 
 def relative_spread(sizes: np.ndarray) -> float:
-    """Standard deviation of a size, relative to it, by those (n,) of disjoint parts."""
+    """Relative standard deviation of a size, from its values (n,) in disjoint parts."""
     return float(jackknife(sizes[:, None])[0] / max(sizes.mean(), 1e-300))
 
 

@@ -120,7 +120,7 @@ class _Packages:
 
     def _by_folder(self, package: str) -> Path | None:
         """A package that was copied without its package.xml is recognised by its folder, above the file or beside such folders. The name of
-        a folder above may also begin as the package's does (kuka_kr6 for kuka_kr6_support), or the other way round."""
+        a folder above may also be the beginning of the package's (kuka_kr6 for kuka_kr6_support), or the reverse."""
         near = self._path.parents[:NEAR]
         beside = (f / package for f in near)
         alike = (f for f in near if len(f.name) >= SHORTEST_NAME and (package.startswith(f"{f.name}_") or f.name.startswith(f"{package}_")))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,27 @@ MOST_ROWS = 14
 def spacing_picture(data: Spacing) -> str:
     """SVG of the magnitudes of the errors, two bars for each place; of many places those with the largest errors after. Whiskers are twice
     the expected standard deviation, and the limit is a line."""
-    before, after = np.abs(data.before), np.abs(data.after)
-    U = np.zeros(len(after)) if data.sigma is None else 2 * data.sigma
-    top = 1.06 * max(float(before.max()), float((after + U).max()), data.limit or 0.0, 1e-9)
-    shown = np.sort(np.argsort(-after)[:MOST_ROWS])
-    rows = [{"place": data.place[k], "before": before[k], "after": after[k], "U": U[k]} for k in shown]
+    rows = [row | {"before": abs(row["before"]), "after": abs(row["after"])} for row in _rows(data)]
+    top = 1.06 * max(*(max(row["before"], row["after"] + row["U"]) for row in rows), data.limit or 0.0, 1e-9)
     colours = {"before": BEFORE, "after": AFTER, "limit_colour": LIMIT}
     return filled(HERE / "spacing.svg.j2", rows=rows, top=top, ticks=_ticks(top), limit=data.limit, **colours)
+
+
+def slider_pictures(data: Spacing) -> list[str]:
+    """SVG of the signed errors before and after calibration, on one scale, at the places of ``spacing_picture``."""
+    rows = _rows(data)
+    ends = [0.0, 1e-9, *(end for row in rows for end in (row["before"], row["after"] - row["U"], row["after"] + row["U"]))]
+    low, high = 1.06 * min(ends), 1.06 * max(ends)
+    step = _ticks(high - low)[1]
+    axis = {"low": low, "high": high, "ticks": [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]}
+    return [filled(HERE / "columns.svg.j2", rows=rows, when=when, colour=c, **axis) for when, c in (("before", BEFORE), ("after", AFTER))]
+
+
+def _rows(data: Spacing) -> list[dict[str, Any]]:
+    """Place, errors before and after, and U expected (0: none) of the places that are drawn, in their order."""
+    U = np.zeros(len(data.after)) if data.sigma is None else 2 * data.sigma
+    shown = np.sort(np.argsort(-np.abs(data.after))[:MOST_ROWS])
+    return [{"place": data.place[k], "before": data.before[k], "after": data.after[k], "U": U[k]} for k in shown]
 
 
 def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray], expected_mm: float | None = None) -> str:

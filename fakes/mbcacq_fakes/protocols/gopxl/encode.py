@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
 from mbcacq_fakes.world.frame import ScannerFrame
 
-STAMP, UNIFORM_PROFILE, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 12, 14, 15, 19, 10
+STAMP, UNIFORM_PROFILE, PROFILE_POINTS, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 12, 13, 14, 15, 19, 10
 
 
 def common(source: str, set_id: int, last: bool, output: int, space: int = 1) -> bytes:
@@ -56,9 +56,22 @@ def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: fl
 def profile(frame: ScannerFrame, exposure_us: float) -> bytes:
     """Body of a uniform profile: the middle row of the surface, without grey values."""
     raw, _, scaling = uniform_grid(frame.xyz * np.array([-1, 1, 1], np.float32), frame.intensity)
-    row = np.ascontiguousarray(raw[len(raw) // 2], "<i2")
-    scale, offset = scaling.scale, scaling.offset
-    return struct.pack("<HII4df", 46, len(row), 0, scale[0], scale[2], offset[0], offset[2], exposure_us * 1e3) + row.tobytes()
+    return _profile(raw[len(raw) // 2], scaling, exposure_us)
+
+
+def profile_points(xz: np.ndarray, volume: tuple[np.ndarray, np.ndarray], exposure_us: float) -> bytes:
+    """Body of a profile point cloud. xz: (W, 2) mm, NaN where nothing was measured. volume: (low, high) (3,) mm."""
+    low, high = volume
+    scaling = Scaling.over(np.array([-high[0], *low[1:]]), np.array([-low[0], *high[1:]]))
+    raw = np.empty((1, len(xz), 3), "<i2")
+    quantise(np.column_stack([-xz[:, 0], 0 * xz[:, 0], xz[:, 1]])[None].astype(np.float32), scaling, raw)
+    return _profile(raw[0][:, [0, 2]], scaling, exposure_us)
+
+
+def _profile(raw: np.ndarray, scaling: Scaling, exposure_us: float) -> bytes:
+    (x_step, _, z_step), (x_offset, _, z_offset) = scaling.scale, scaling.offset
+    section = struct.pack("<HII4df", 46, len(raw), 0, x_step, z_step, x_offset, z_offset, exposure_us * 1e3)
+    return section + np.ascontiguousarray(raw, "<i2").tobytes()
 
 
 def middle_of_profile(frame: ScannerFrame) -> float:

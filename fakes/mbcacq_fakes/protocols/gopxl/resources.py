@@ -18,10 +18,12 @@ PREFIX = f"scan:{ENGINE}:scanner-0:"
 STAMP, POINTS, UNIFORM = (f"{PREFIX}{key}" for key in ("stamp", "sensor-0SurfacePointCloud", "sensor-0UniformSurface"))
 # The vendor's samples are written for a laser line sensor; its paths lead to the same scanner.
 LASER = "LMILaserLineProfiler"
-LASER_SURFACE, LASER_PROFILE = (f"scan:{LASER}:scanner-0:{key}" for key in ("topUniformSurface", "topUniformProfile"))
-LASER_STAMP = f"scan:{LASER}:scanner-0:stamp"
+# The name of its profile point cloud is by analogy: no public text has it.
+LASER_STAMP, LASER_SURFACE, LASER_PROFILE, LASER_POINTS = (
+    f"scan:{LASER}:scanner-0:{key}" for key in ("stamp", "topUniformSurface", "topUniformProfile", "topProfilePointCloud")
+)
 TOOL = "tools:ProfileBoundingBox-0:outputs:X"  # of the tool that every job of this sensor has: the middle of the profile along x
-SOURCES = (STAMP, POINTS, UNIFORM, LASER_STAMP, LASER_SURFACE, LASER_PROFILE, TOOL)
+SOURCES = (STAMP, POINTS, UNIFORM, LASER_STAMP, LASER_SURFACE, LASER_PROFILE, LASER_POINTS, TOOL)
 TIME, SOFTWARE = 0, 3  # sources of the trigger
 
 
@@ -34,17 +36,20 @@ class RequestRefused(Exception):
 
 
 class Resources:
-    """State of one sensor. trigger: called for a software trigger while it runs; changed: with a path and what has changed there.
+    """State of one sensor. trigger: called for a software trigger while it runs; changed: with a path and what has changed there; catch_up:
+    called before a stop, for the profiles of the time before it. line_rate_hz: of a line scanner, 0 for a snapshot sensor.
 
     recorded: frames that were taken while ``recording``; ``position``: the next of them that is shown while ``replaying``.
     """
 
-    def __init__(self, serial: str, model: str, jobs: tuple[str, ...], trigger: Callable[[], None]) -> None:
+    def __init__(self, serial: str, model: str, jobs: tuple[str, ...], trigger: Callable[[], None], line_rate_hz: float = 0.0) -> None:
         self.serial, self.model, self.api, self._trigger = serial, model, "1.0.0", trigger
         self.running = self.recording = self.replaying = False
         self.recorded: list[Any] = []
         self.position = 0
         self.changed: Callable[[str, dict[str, Any]], None] = lambda path, payload: None
+        self.catch_up: Callable[[], None] = lambda: None
+        self.line = line_rate_hz > 0
         self.jobs, self.loaded_job = list(jobs), jobs[0] if jobs else ""
         self.gdp_port, self.gdp_enabled = 0, False
         self.outputs: list[dict[str, Any]] = []
@@ -54,8 +59,8 @@ class Resources:
         self.content: dict[str, bytes] = {}  # of jobs that were saved or brought
         self.digital_output = DigitalOutput(serial)
         self.group: dict[str, Any] = {
-            "triggerSettings": {"source": 0, "maxFrameRateEnabled": True, "frameRate": 5},
-            "scanModeSettings": {"scanMode": 3, "intensityEnabled": False, "uniformSpacingEnabled": False},
+            "triggerSettings": {"source": 0, "maxFrameRateEnabled": True, "frameRate": line_rate_hz or 5},
+            "scanModeSettings": {"scanMode": 2 if self.line else 3, "intensityEnabled": False, "uniformSpacingEnabled": False},
         }
         self.sensor: dict[str, Any] = {
             "exposureSettings": {"exposureMode": 0, "singleExposure": 1200, "multipleExposures": [400, 1200, 4000]},
@@ -101,11 +106,11 @@ class Resources:
             "/jobs/files": lambda: children([f"/jobs/files/{name}" for name in self.jobs], [{"jobName": n} for n in self.jobs]),
             "/controls/gocator": lambda: {"enabled": self.gdp_enabled, "serverPort": self.gdp_port},
             "/controls/gocator/outputs": lambda: {"map": [dict(o) for o in self.outputs]},
-            ENGINES: lambda: children([f"{ENGINES}/{ENGINE}"]),
-            f"{ENGINES}/{ENGINE}": lambda: children([GROUP], relation="go:scanner"),
-            f"{ENGINES}/{ENGINE}/scanners": lambda: children([GROUP]),
+            ENGINES: lambda: children([self._named(f"{ENGINES}/{ENGINE}")]),
+            f"{ENGINES}/{ENGINE}": lambda: children([self._named(GROUP)], relation="go:scanner"),
+            f"{ENGINES}/{ENGINE}/scanners": lambda: children([self._named(GROUP)]),
             GROUP: lambda: {"displayName": "Scanner", "parameters": self.group},
-            f"{GROUP}/sensors": lambda: children([SENSOR]),
+            f"{GROUP}/sensors": lambda: children([self._named(SENSOR)]),
             SENSOR: lambda: {"serialNumber": self.serial, "displayName": self.name, "parameters": self.sensor},
             f"{GROUP}/outputs": lambda: self._data_sources(bool(args.get("expandLevel"))),
             f"{GROUP}/alignment": lambda: {"alignState": self.align_state},
@@ -127,7 +132,13 @@ class Resources:
         raise RequestRefused(NOT_FOUND, "not found")
 
     def _visible(self) -> dict[str, Any]:
-        return {"serialNumber": self.serial, "model": self.model, "engineId": ENGINE, "path": SENSOR, "isLocal": True}
+        return {
+            "serialNumber": self.serial,
+            "model": self.model,
+            "engineId": self._named(ENGINE),
+            "path": self._named(SENSOR),
+            "isLocal": True,
+        }
 
     def _scanner_metrics(self) -> dict[str, Any]:
         latency = {"currentSyncTime": 0, "processingLatencyAvg": 200, "processingLatencyMax": 250}
@@ -136,10 +147,13 @@ class Resources:
     def _temperatures(self) -> dict[str, Any]:
         return {"cameraTemp0": self.temperature_C, "cpuTemp": self.temperature_C + 9, "projectorTemp": self.temperature_C + 4}
 
-    @staticmethod
-    def _data_sources(expanded: bool) -> dict[str, Any]:
-        ids = (STAMP, POINTS, UNIFORM)
-        paths = [f"{GROUP}/outputs/{i.rsplit(':', 1)[1]}" for i in ids]
+    def _named(self, path: str) -> str:
+        """A path by the name that this sensor's engine has."""
+        return path.replace(ENGINE, LASER) if self.line else path
+
+    def _data_sources(self, expanded: bool) -> dict[str, Any]:
+        ids = (LASER_STAMP, LASER_POINTS, LASER_PROFILE) if self.line else (STAMP, POINTS, UNIFORM)
+        paths = [f"{self._named(GROUP)}/outputs/{i.rsplit(':', 1)[1]}" for i in ids]
         return children(paths, [{"dataSourceId": i} for i in ids] if expanded else None)
 
     def _update(self, path: str, payload: dict[str, Any]) -> dict[str, Any]:
@@ -236,6 +250,8 @@ class Resources:
         return found
 
     def _run(self, on: bool) -> None:
+        if not on:
+            self.catch_up()
         before, self.running = self.running, on
         if before != on:
             self.changed("/system", {"runState": int(on)})

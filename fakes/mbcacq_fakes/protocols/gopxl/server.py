@@ -14,18 +14,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import Faults
-from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
+from mbcacq_fakes.protocols.gocator.data_faults import spoiled
+from mbcacq_fakes.protocols.gocator.publish import Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
 from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
+from mbcacq_fakes.protocols.line_sensor import PATIENCE_S, LineSensorOptions, LineSource, ProfileSender
 from mbcacq_fakes.protocols.sensor_server import SensorServer
 from mbcacq_fakes.protocols.tcp_server import ClientThreads
 from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]
-_GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
+Part = tuple[int, str, int, bytes]  # type, source, output id and body of a message
+STAMPS = (resources.STAMP, resources.LASER_STAMP)
 _POLL_S, _WAITING, _MOST_RECORDED = 0.02, 16, 50
 _log = logging.getLogger("mbcacq.fakes.gopxl")
 
@@ -36,12 +39,13 @@ class GoPxLPorts(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FakeGoPxLOptions:
+class FakeGoPxLOptions(LineSensorOptions):
     """Where the sensor listens (0: any free port), and what it is.
 
     scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
     new_form: messages as release 1.5 writes them, with a pixel format and label positions. stamps: whether it offers stamps.
-    discovery_port: udp, usually 3320; None for no discovery. discovery_reply_port: where clients listen for the answer.
+    discovery_port: udp, usually 3320; None for no discovery. discovery_reply_port: where clients listen for the answer. The others: see
+    LineSensorOptions.
     """
 
     host: str = "127.0.0.1"
@@ -61,13 +65,23 @@ class FakeGoPxLOptions:
 class FakeGoPxL(SensorServer):
     """``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the world's frame.
 
-    clock: the world's time in s; without it the sensor counts from its start.
+    clock: the world's time in s; without it the sensor counts from its start. line: what a line scanner sees, for options with
+    ``profiles``.
     """
 
-    def __init__(self, source: Source, settings: FakeGoPxLOptions | None = None, clock: Callable[[], float] | None = None) -> None:
-        self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
-        super().__init__(self.settings.host, Faults(FAULTS), threading.Event(), ClientThreads())
-        self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
+    def __init__(
+        self,
+        source: Source,
+        options: FakeGoPxLOptions | None = None,
+        clock: Callable[[], float] | None = None,
+        line: LineSource | None = None,
+    ) -> None:
+        self.source, self.options, self._clock = source, options or FakeGoPxLOptions(), clock
+        self._line, self.closing = line, threading.Event()
+        o = self.options
+        super().__init__(o.host, Faults(FAULTS), self.closing, ClientThreads())
+        rate_hz = o.frame_rate_hz or 5.0 if o.profiles else 0.0
+        self.resources = Resources(str(o.serial), o.model, o.jobs, self._ask, rate_hz)
         self._watchers = control.Watchers(lambda path: self.resources.handle("read", path, {}, {}))
         self.resources.changed = self._watchers.tell
         self.data = Publisher()
@@ -75,13 +89,39 @@ class FakeGoPxL(SensorServer):
         self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
 
     def open(self) -> GoPxLDiscovery | None:
-        s = self.settings
+        s = self.options
         self.ports = GoPxLPorts(*self.listen(((s.control_port, self._accept_control), (s.data_port, self.data.add))))
         self.resources.gdp_port = self.ports.data
         return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
 
     def work(self) -> dict[str, Callable[[], None]]:
-        return {"fake-gopxl": self._run}
+        threads: dict[str, Callable[[], None]] = {"fake-gopxl": self._run}
+        if self._line is not None:
+            stream = ProfileSender(self, self._line, self.options.serial)
+            self.resources.catch_up = stream.catch_up
+            threads["fake-gopxl-profiles"] = stream.run
+        return threads
+
+    def profile_period_s(self) -> float | None:
+        return self.resources.free_period_s
+
+    def restarts(self) -> bool:
+        return bool(self.faults.use("restart"))
+
+    def send_profile(self, index: int, own_s: float, profile: np.ndarray) -> None:
+        volume = self.options.volume or (np.array([-100.0, 0.0, -100.0]), np.array([100.0, 0.0, 100.0]))
+        parts: list[Part] = []
+        for source, number in self._outputs():
+            if source == resources.LASER_STAMP:
+                parts.append((encode.STAMP, source, number, encode.stamp(index, max(own_s, 0.0))))
+            elif source == resources.LASER_POINTS:
+                parts.append((encode.PROFILE_POINTS, source, number, encode.profile_points(profile, volume, self.resources.exposure_us)))
+            elif source == resources.LASER_PROFILE:
+                frame = ScannerFrame(np.stack([profile[:, 0], 0 * profile[:, 0], profile[:, 1]], axis=1)[None].astype(np.float32))
+                parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
+        self.data.wait_for_client(0.5)
+        if self.resources.gdp_enabled:
+            self.data.publish(_packed(parts, index), PATIENCE_S)
 
     @property
     def scans(self) -> int:
@@ -93,7 +133,7 @@ class FakeGoPxL(SensorServer):
         self.data.close()
 
     def _announced(self, address: str) -> dict[str, Any]:
-        s = self.settings
+        s = self.options
         return {
             "AppId": "fake",
             "AppName": "GoPxL",
@@ -138,7 +178,7 @@ class FakeGoPxL(SensorServer):
 
     def _due(self) -> bool:
         """Whether the time trigger, or a replay, exposes now."""
-        period, now = self.resources.free_period_s, time.monotonic()
+        period, now = None if self._line else self.resources.free_period_s, time.monotonic()
         if period is None or now < self._next_free:
             self._next_free = self._next_free if period is not None else 0.0
             return False
@@ -154,7 +194,7 @@ class FakeGoPxL(SensorServer):
         return frame
 
     def _expose(self) -> None:
-        if self.settings.scan_time_s and self._closing.wait(self.settings.scan_time_s):
+        if self.options.scan_time_s and self._closing.wait(self.options.scan_time_s):
             return
         frame = self._frame()
         self._made += 1
@@ -165,13 +205,11 @@ class FakeGoPxL(SensorServer):
 
     def _messages(self, frame: ScannerFrame) -> list[bytes]:
         """What the outputs ask for: stamp, surface, measurements, in the order of their ids; the last one marked."""
-        modes, s = self.resources.group["scanModeSettings"], self.settings
+        modes, s = self.resources.group["scanModeSettings"], self.options
         time_s = frame.time_s if self._clock and frame.time_s else time.monotonic() - self._born
         index = 0 if self.faults.use("old_frame") else self._made
-        parts: list[tuple[int, str, int, bytes]] = []
-        stamps = (resources.STAMP, resources.LASER_STAMP)
-        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] not in stamps, o["outputId"])):
-            source, number = output["source"], output["outputId"]
+        parts: list[Part] = []
+        for source, number in self._outputs():
             uniform = source == resources.UNIFORM
             if source == resources.LASER_PROFILE:
                 parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
@@ -181,46 +219,38 @@ class FakeGoPxL(SensorServer):
             elif source == resources.TOOL:
                 middle = encode.measurement(encode.middle_of_profile(frame), s.new_form)
                 parts.append((encode.MEASUREMENT, source, number, middle))
-            elif source in stamps:
+            elif source in STAMPS:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):
                 body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
                 parts.append((encode.UNIFORM_SURFACE if uniform else encode.SURFACE_POINTS, source, number, body))
         for number, value in frame.measurements.items():
             parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value, s.new_form)))
-        last = len(parts) - 1
-        return [encode.message(k, encode.common(src, self._made, i == last, n), body) for i, (k, src, n, body) in enumerate(parts)]
+        return _packed(parts, self._made)
+
+    def _outputs(self) -> list[tuple[str, int]]:
+        """Source and id of what is sent, stamps first."""
+        outputs = [(o["source"], o["outputId"]) for o in self.resources.outputs]
+        return sorted(outputs, key=lambda o: (o[0] not in STAMPS, o[1]))
 
     def _spoiled(self, messages: list[bytes]) -> list[object]:
         """The messages as the active faults let them out."""
-        faults = self.faults
-        whole: dict[str, list[object]] = {"no_data": [], "close_data": [CLOSE], "garbage": [_GARBAGE]}
-        for fault, instead in whole.items():
-            if faults.use(fault):
-                return instead
         at = next((i for i, m in enumerate(messages) if m[4] in (encode.UNIFORM_SURFACE, encode.SURFACE_POINTS)), None)
         if at is None:
             return list(messages)
-        before, body, after = messages[:at], messages[at], messages[at + 1 :]
-        replaced: dict[str, Callable[[Any], list[object]]] = {
+        unknown = encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this")
+        own: dict[str, Callable[[Any], list[object]]] = {
             "stamp_only": lambda _: [encode.message(encode.NULL, encode.common("", self._made, True, 0), b"\6\0\1\0\0\0")],
-            "null_surface": lambda status: [self._null(status), *after],
-            "close_in_message": lambda _: [body[: len(body) // 2], CLOSE],
-            "stall": lambda _: [body[: len(body) // 2], MUTE],
-            "short_message": lambda _: [_shortened(body), *after],
-            "unknown_type": lambda _: [encode.message(99, encode.common("x", self._made, False, 9), b"nobody knows this"), body, *after],
+            "null_surface": lambda status: [self._null(status), *messages[at + 1 :]],
+            "unknown_type": lambda _: [unknown, *messages[at:]],
         }
-        for fault, make in replaced.items():
-            if (value := faults.use(fault)) is not None:
-                return [*before, *make(value)]
-        return list(messages)
+        return spoiled(messages, at, self.faults, own)
 
     def _null(self, status: int) -> bytes:
         body = b"\6\0" + int(status).to_bytes(4, "little", signed=True)
         return encode.message(encode.NULL, encode.common(resources.POINTS, self._made, True, 1), body)
 
 
-def _shortened(message: bytes) -> bytes:
-    short = bytearray(message[: max(len(message) * 3 // 4, 70)])
-    short[:4] = len(short).to_bytes(4, "little")
-    return bytes(short)
+def _packed(parts: list[Part], set_id: int) -> list[bytes]:
+    last = len(parts) - 1
+    return [encode.message(k, encode.common(src, set_id, i == last, n), body) for i, (k, src, n, body) in enumerate(parts)]

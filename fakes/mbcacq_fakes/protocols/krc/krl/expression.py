@@ -1,7 +1,12 @@
-"""KRL expressions to Python expressions. Precedence as in KRL: NOT, then * /, + -, AND, EXOR, OR, and comparisons last of all."""
+"""KRL expressions to Python expressions.
+
+KRL ranks NOT, then * /, + -, AND, EXOR, OR, and comparisons last of all: Python ranks ~, * /, + -, &, ^, | and comparisons alike. So a text
+whose words are replaced is read by Python's own parser, and the operators get KRL's meaning after that.
+"""
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Callable
 
@@ -10,157 +15,82 @@ from mbcacq_fakes.protocols.krc.krl.values import KrlError
 _TOKEN = re.compile(
     r"""\s*(?:
     (?P<text>"[^"]*") | (?P<enum>\#\w+) | (?P<number>\d+\.\d*(?:[eE][-+]?\d+)?|\.\d+|\d+) | (?P<system>\$\w+) | (?P<name>[A-Za-z_]\w*)
-    | (?P<op><>|==|<=|>=|[-+*/()\[\],.{}<>:])
+    | (?P<whole>\[\s*\])  # name[]: the text itself
+     | (?P<op><>|==|<=|>=|[-+*/()\[\],.{}<>])
 )""",
     re.X,
 )
-_COMPARE = {
-    "==": "V.equal({}, {})",
-    "<>": "not V.equal({}, {})",
-    "<": "({} < {})",
-    ">": "({} > {})",
-    "<=": "({} <= {})",
-    ">=": "({} >= {})",
+_WORDS = {"NOT": "~", "AND": "&", "EXOR": "^", "OR": "|", "TRUE": "True", "FALSE": "False"}
+_BRACKETS = {"(": ("(", ")"), "[": ("[", "]"), "{": ("V.Struct(", "))")}
+_MEANING: dict[type[ast.AST], str] = {
+    ast.Eq: "V.equal({}, {})",
+    ast.NotEq: "not V.equal({}, {})",
+    ast.BitOr: "V.either({}, {})",
+    ast.BitXor: "V.differ({}, {})",
+    ast.BitAnd: "V.both({}, {})",
+    ast.Div: "V.divide({}, {})",
+    ast.Invert: "V.negate({})",
 }
-_LEVELS = (
-    _COMPARE,
-    {"OR": "V.either({}, {})"},
-    {"EXOR": "V.differ({}, {})"},
-    {"AND": "V.both({}, {})"},
-    {"+": "({} + {})", "-": "({} - {})"},
-    {"*": "({} * {})", "/": "V.divide({}, {})"},
-)
 
 
-def tokens(text: str) -> list[tuple[str, str]]:
-    found, position = [], 0
-    text = text.rstrip()
+def expression(text: str, name: Callable[[str, bool], str]) -> str:
+    """The Python text of an expression, or of something that can be assigned to. name(identifier, is_call): the Python text for an
+    identifier. Raises KrlError."""
+    try:
+        return ast.unparse(_Meaning().visit(ast.parse(_in_python(text, name), mode="eval")))
+    except SyntaxError as error:
+        raise KrlError(f"'{text.strip()}' is no expression ({error.msg})") from error
+
+
+def _in_python(text: str, name: Callable[[str, bool], str]) -> str:
+    out, position, text = list[str](), 0, text.strip()
+    before, closers = "", list[str]()  # what closes each bracket that is open
     while position < len(text):
         match = _TOKEN.match(text, position)
         if match is None:
             raise KrlError(f"cannot read '{text[position:]}'")
-        found.append((match.lastgroup or "", match[match.lastgroup or 0]))
-        position = match.end()
-    return found
+        kind, word, position = match.lastgroup, match[match.lastgroup or 0], match.end()
+        of_structure = closers[-1:] == ["))"] and before in ("{", ",")
+        if kind == "name" and before != "." and word.upper() in _WORDS:
+            out.append(_WORDS[word.upper()])
+        elif kind == "name":
+            calls = text[position:].lstrip().startswith("(")
+            out.append(f"{word.lower()}=float(" if of_structure else word.lower() if before == "." else name(word, calls))
+        elif word in _BRACKETS:
+            out.append(_BRACKETS[word][0])
+            closers.append(_BRACKETS[word][1])
+        elif word in ")]}":
+            out.append(closers.pop() if closers else ")")
+        else:
+            out.append(")," if word == "," and closers[-1:] == ["))"] else _plain(kind, word))
+        before = word
+    return " ".join(out)
 
 
-class ExpressionReader:
-    """One expression or reference. ``name(identifier, is_call)`` gives the Python text for an identifier."""
+def _plain(kind: str | None, word: str) -> str:
+    return {"whole": "", "enum": f"'{word.upper()}'", "system": f"S.{word[1:].lower()}"}.get(kind or "", "!=" if word == "<>" else word)
 
-    def __init__(self, text: str, name: Callable[[str, bool], str]) -> None:
-        self._tokens, self._at, self._name = tokens(text), 0, name
 
-    def expression(self) -> str:
-        value = self._binary(0)
-        self._end()
-        return value
+class _Meaning(ast.NodeTransformer):
+    """Operators as calls of ``values``; a call of a program waits for what that yields."""
 
-    def reference(self) -> str:
-        """Something that can be assigned to."""
-        value = self._primary()
-        self._end()
-        return value
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:  # noqa: N802 -- as ast names it
+        return self._meant(node, node.op, node.left, node.right)
 
-    def arguments(self) -> list[str]:
-        """A comma separated list, in the parentheses that follow."""
-        self._expect("(")
-        values = self._list(")")
-        self._end()
-        return values
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:  # noqa: N802
+        return self._meant(node, node.op, node.operand)
 
-    def _list(self, close: str) -> list[str]:
-        values: list[str] = []
-        while not self._take(close):
-            if values:
-                self._expect(",")
-            values.append(self._binary(0))
-        return values
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:  # noqa: N802
+        return self._meant(node, node.ops[0], node.left, node.comparators[0])
 
-    def _binary(self, level: int) -> str:
-        if level == len(_LEVELS):
-            return self._unary()
-        left, forms = self._binary(level + 1), _LEVELS[level]
-        while self._peek()[1].upper() in forms:
-            form = forms[self._next()[1].upper()]
-            left = form.format(left, self._binary(level + 1))
-        return left
+    def visit_Call(self, node: ast.Call) -> ast.AST:  # noqa: N802
+        self.generic_visit(node)
+        if not isinstance(node.func, ast.Subscript):
+            return node
+        node.args.insert(0, ast.Name("P"))
+        return ast.YieldFrom(node)
 
-    def _unary(self) -> str:
-        kind, text = self._peek()
-        if kind == "name" and text.upper() == "NOT":
-            self._next()
-            return f"V.negate({self._unary()})"
-        if text == "-":
-            self._next()
-            return f"(-{self._unary()})"
-        return self._primary()
-
-    def _primary(self) -> str:
-        kind, text = self._next()
-        if kind == "name":
-            return self._named(text)
-        if kind == "system":
-            return self._members(f"S.{text[1:].lower()}")
-        if text == "(":
-            value = self._binary(0)
-            self._expect(")")
-            return f"({value})"
-        if text == "{":
-            return self._aggregate()
-        constants = {"text": text, "number": text.rstrip("."), "enum": f"'{text.upper()}'"}
-        if kind not in constants:
-            raise KrlError(f"'{text}' stands where a value should")
-        return constants[kind]
-
-    def _named(self, text: str) -> str:
-        if text.upper() in ("TRUE", "FALSE"):
-            return text.capitalize()
-        if self._take("("):
-            return f"(yield from {self._name(text, True)}({', '.join(['P', *self._list(')')])}))"
-        return self._members(self._name(text, False))
-
-    def _aggregate(self) -> str:
-        parts = []
-        while not self._take("}"):
-            if parts:
-                self._expect(",")
-            kind, member = self._next()
-            if kind != "name":
-                raise KrlError(f"'{member}' is no member of a structure")
-            parts.append(f"{member.lower()}=float({self._binary(1)})")
-        return f"V.Struct({', '.join(parts)})"
-
-    def _members(self, value: str) -> str:
-        while True:
-            if self._take("["):
-                if not self._take("]"):  # name[]: the text itself
-                    value += f"[{self._binary(0)}]"
-                    self._expect("]")
-            elif self._take("."):
-                value += f".{self._next()[1].lower()}"
-            else:
-                return value
-
-    def _peek(self) -> tuple[str, str]:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ("", "")
-
-    def _next(self) -> tuple[str, str]:
-        token = self._peek()
-        self._at += 1
-        if not token[1]:
-            raise KrlError("the expression ends too early")
-        return token
-
-    def _take(self, text: str) -> bool:
-        if self._peek()[1] != text:
-            return False
-        self._at += 1
-        return True
-
-    def _expect(self, text: str) -> None:
-        if not self._take(text):
-            raise KrlError(f"'{text}' is missing before '{self._peek()[1]}'")
-
-    def _end(self) -> None:
-        if self._at != len(self._tokens):
-            raise KrlError(f"'{self._peek()[1]}' is one word too many")
+    def _meant(self, node: ast.AST, operator: ast.AST, *operands: ast.AST) -> ast.AST:
+        if (form := _MEANING.get(type(operator))) is None:
+            return self.generic_visit(node)
+        return ast.parse(form.format(*(ast.unparse(self.visit(one)) for one in operands)), mode="eval").body

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 from typing import TYPE_CHECKING, Any
 
 from mbcacq_fakes.protocols.krc.krl import values as V
-from mbcacq_fakes.protocols.krc.krl.expression import ExpressionReader
+from mbcacq_fakes.protocols.krc.krl.expression import expression
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, fit
 
 _DEF = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)$", re.I)
@@ -91,14 +91,13 @@ class Program:
         exec("\n".join(code), dict(self._space))
 
     def _store(self, target: str, value: str, scope: _Scope) -> list[str]:
-        reference = ExpressionReader(target, scope.name).reference()
+        reference = expression(target, scope.name)
         kind = scope.kind(target)
         if got := _EKI_GET.match(value):
-            given = ExpressionReader(f"({got[2]})", scope.name).arguments()
-            into, into_kind = ExpressionReader(got[3], scope.name).reference(), scope.kind(got[3])
-            call = f"(yield from {scope.name(got[1], True)}(P, {', '.join(given)}))"
+            into, into_kind = expression(got[3], scope.name), scope.kind(got[3])
+            call = expression(f"{got[1]}({got[2]})", scope.name)
             return [f"{reference}, _got = {call}", "if _got is not None:", f"   {into} = fit({into_kind!r}, _got)"]
-        return [f"{reference} = fit({kind!r}, {ExpressionReader(value, scope.name).expression()})"]
+        return [f"{reference} = fit({kind!r}, {expression(value, scope.name)})"]
 
     def _read_program(self, name: str, text: str) -> None:
         body: list[tuple[int, str]] = []
@@ -161,7 +160,7 @@ class Program:
         """Python lines, and whether they open a block."""
 
         def read(text: str) -> str:
-            return ExpressionReader(text, scope.name).expression()
+            return expression(text, scope.name)
 
         if (opened := _block(line, word, scope, read)) is not None:
             return [opened], True
