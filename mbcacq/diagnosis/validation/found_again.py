@@ -133,8 +133,8 @@ def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
 
 
 def pooled_ratio(stated: Parameters, spreads: Mapping[str, np.ndarray]) -> float:
-    """Root mean square, over all sizes of an effect, of what halves differ by relative to what is stated, no less than 1: two values alone
-    may agree by chance. Lines of a joint are pooled by ``output.orders``.
+    """Difference between halves over the stated one, root mean square over all sizes of an effect; at least 1, since two values may agree
+    by chance. Lines of a joint are pooled by ``output.orders``.
     """
     if any(name.endswith(ORDERS) for name in spreads):
         return 1.0
