@@ -205,7 +205,7 @@ class PosesAndMotion:
         return DecidedPair(pair.effects, named[0], by) if len(named) == 1 else None
 
     def _load_by_both(self, pair: NotSeparable) -> list[str]:
-        """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
+        """The load, or the masses of the arm in its place in the motion: the one that poses and motion make twenty times as probable."""
         first, second = pair.effects
         load, odds = (second, 1.0) if first == ARM else (first, -1.0)
         own = sum(_own_log_odds(load, one.evidence) for one in self.motion.evidence)
