@@ -55,16 +55,17 @@ def diagnose(
         )
     budget, options = TimeBudget.of_minutes(minutes), options_for(first, options or CalibrationOptions())
     with determined(recordings), processes(workers) as pool:
-        return _diagnose(recordings, pool, budget, folds, progress, options, formulas, refit)
+        return _diagnose(recordings, pool, budget, options, folds=folds, progress=progress, formulas=formulas, refit=refit)
 
 
 def _diagnose(
     recordings: Observations | Sequence[Observations],
     pool: WorkerPool,
     budget: TimeBudget,
+    options: CalibrationOptions,
+    *,
     folds: int | None,
     progress: Progress,
-    options: CalibrationOptions,
     formulas: bool,
     refit: Refit | None,
 ) -> Diagnosis:
