@@ -40,8 +40,8 @@ class FakeGoPxLOptions:
     """Where the sensor listens (0: any free port), and what it is.
 
     scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
-    new_form: messages as release 1.5 writes them, with a pixel format and label positions. stamps: whether it offers stamps.
-    discovery_port: udp, usually 3320; None for no discovery. discovery_reply_port: where clients listen for the answer.
+    Messages are as release 1.5 writes them, with a pixel format and label positions. discovery_port: udp, usually 3320; None for no
+    discovery.
     """
 
     host: str = "127.0.0.1"
@@ -53,9 +53,7 @@ class FakeGoPxLOptions:
     scan_time_s: float = 0.0
     jobs: tuple[str, ...] = ("bench", "other")
     volume: tuple[np.ndarray, np.ndarray] | None = None
-    new_form: bool = True
     discovery_port: int | None = None
-    discovery_reply_port: int = DISCOVERY_PORT
 
 
 class FakeGoPxL(SensorServer):
@@ -76,7 +74,7 @@ class FakeGoPxL(SensorServer):
         s = self.settings
         self.ports = GoPxLPorts(*self.listen(((s.control_port, self._accept_control), (s.data_port, self.data.add))))
         self.resources.gdp_port = self.ports.data
-        return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
+        return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, DISCOVERY_PORT, self._announced)
 
     def work(self) -> dict[str, Callable[[], None]]:
         return {"fake-gopxl": self._run}
@@ -152,10 +150,10 @@ class FakeGoPxL(SensorServer):
             if source == resources.STAMP:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):
-                body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
+                body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.volume)
                 parts.append((encode.UNIFORM_SURFACE if uniform else encode.SURFACE_POINTS, source, number, body))
         for number, value in frame.measurements.items():
-            parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value, s.new_form)))
+            parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value)))
         last = len(parts) - 1
         return [encode.message(k, encode.common(src, self._made, i == last, n), body) for i, (k, src, n, body) in enumerate(parts)]
 
