@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from mbcacq.workflow.investigate import investigate
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
     from mbcacq.workflow.new_plan import new_plan
-    from mbcacq.workflow.next_plan import next_plan, next_poses, weigh_evidence
+    from mbcacq.workflow.next_plan import next_plan, next_poses
     from mbcacq.workflow.report import write_report
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
@@ -100,7 +100,6 @@ __all__ = [
     "simulate",
     "verify",
     "verify_elsewhere",
-    "weigh_evidence",
     "write_report",
 ]
 
@@ -129,7 +128,7 @@ _MODULES = {
     "workflow.investigate": ("investigate",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
     "workflow.new_plan": ("new_plan",),
-    "workflow.next_plan": ("next_plan", "next_poses", "weigh_evidence"),
+    "workflow.next_plan": ("next_plan", "next_poses"),
     "workflow.report": ("write_report",),
     "workflow.run": ("Operator", "run"),
     "workflow.simulate": ("simulate",),

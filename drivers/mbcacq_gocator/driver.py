@@ -8,9 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Profiles, Scan
+from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan
 from mbcacq_gocator import commands
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.control import ControlChannel
@@ -21,9 +19,7 @@ from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
-from mbcacq_gocator.named_errors import named
 from mbcacq_gocator.options import GocatorOptions, parse
-from mbcacq_gocator.profiles import ProfileStream
 from mbcacq_gocator.session import GocatorSession, check_unchanged
 from mbcacq_gocator.snapshot_scanner import RESTORE_CONNECT_S, RESTORE_REPLY_S, SnapshotScanner
 
@@ -53,9 +49,8 @@ class Gocator(SnapshotScanner[GocatorSession]):
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
-        super().__init__(name, model, self.options.exposure_us, about)
+        super().__init__(name, model, self.options, about)
         self._before: Before | None = None
-        self._stream: ProfileStream | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
         self._warnings: list[str] = []  # found since the last scan that was returned
@@ -66,28 +61,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
             raise ConfigError(
                 f"scanner '{self.name}': the option exposures_us already says how long to expose; take exposure_us out of the plan"
             )
-        if self.options.mode == "profile":
-            raise ConfigError(f"scanner '{self.name}' streams profiles; use a step 'sweep', or another mode in its options")
         return super().capture(exposure_us)
-
-    def start_profiles(self) -> None:
-        if self.options.mode != "profile":
-            raise ConfigError(f"scanner '{self.name}' takes {self.options.mode} scans; say mode: profile in its options")
-        with named(self.name):
-            session = self._connect()
-            self._watch(session)
-            self._stream = ProfileStream(session, -np.inf if self._stream is None else self._stream.latest_s)
-
-    def profiles(self) -> Profiles:
-        if self._stream is None:
-            raise ConfigError(f"scanner '{self.name}' takes no profiles; call start_profiles first")
-        with named(self.name):
-            return self._stream.taken()
-
-    def end_profiles(self) -> None:
-        if self._stream is not None:
-            with named(self.name):
-                self._stream.end()
 
     def stop(self) -> None:
         self._cancel.set()
@@ -139,13 +113,13 @@ class Gocator(SnapshotScanner[GocatorSession]):
     def _expose(self, session: GocatorSession) -> Scan:
         scans = [self._exposed(session, exposure_us) for exposure_us in self.options.exposures_us or (self._exposure_us,)]
         scan = scans[0] if len(scans) == 1 else best(scans) if self.options.bracket == "best" else merged(scans)
-        news, self._warnings = tuple(self._warnings), []
+        news, self._warnings = (*self._warnings, *(text for one in scans for text in one.warnings)), []
         return replace(scan, warnings=news)
 
     def _exposed(self, session: GocatorSession, exposure_us: float | None) -> Scan:
         """A sensor above the stop limit is not exposed at all. Warnings found before an exposure that fails come with the next scan."""
         self._watch(session)
-        scan = expose(session, exposure_us)
+        scan = self._confirmed(session, lambda: expose(session, exposure_us))
         self._watch(session)
         return scan
 

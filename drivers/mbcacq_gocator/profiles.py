@@ -6,19 +6,20 @@ A data set has one stamp and one profile, or several of both where the sensor se
 from __future__ import annotations
 
 import select
+import socket
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Protocol
 
 import numpy as np
 
 from mbcacq.devices import DeviceFault, MbcacqError, Profiles, ProtocolError
-from mbcacq_gocator.dataset import DataSet, read_set
+from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import TICKS_PER_US, ArrayMessage
 from mbcacq_gocator.layouts import INVALID, PROFILE_POINTS, TYPE_NAMES, UNIFORM_PROFILE
-from mbcacq_gocator.session import GocatorSession
 
 QUIET_S = 0.3  # without a data set, after which a stopped sensor has sent all
 _POLL_S = 0.05
@@ -26,19 +27,46 @@ _POLL_S = 0.05
 
 @dataclass(frozen=True)
 class ProfileBlock:
-    """Stamps of k profiles, and what came with them. raw: (k, W) z or (k, W, 2) x and z, int16; scale, offset: (2,) mm, of x and z."""
+    """Profiles of one data set. counter, time_s, encoder, inputs: (k,), as ``Profiles``. raw: (k, W) z or (k, W, 2) x and z, int16; scale,
+    offset: (2,) mm, of x and z."""
 
-    stamps: np.ndarray
+    counter: np.ndarray
+    time_s: np.ndarray
+    encoder: np.ndarray
+    inputs: np.ndarray
     raw: np.ndarray
     scale: tuple[float, float]
     offset: tuple[float, float]
 
 
-class ProfileStream:
-    """Starts the sensor, and its own thread. after_s: time of the last profile of an earlier stream, -inf without one."""
+class ProfileSource(Protocol):
+    """A connected sensor that sends profiles from ``start`` to ``stop``."""
 
-    def __init__(self, session: GocatorSession, after_s: float = -np.inf) -> None:
-        self._session = session
+    @property
+    def data_socket(self) -> socket.socket | None:
+        """The connection of the data channel, to wait at; None once it is closed."""
+        ...
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether nobody has stopped what waits for the sensor."""
+        ...
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def next_profiles(self, deadline: float) -> ProfileBlock | None:
+        """The profiles of the next data set, copied; None if it has none. Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
+        ...
+
+
+class ProfileStream:
+    """Starts the sensor, and its own thread. timeout_s: of one data set. after_s: time of the last profile of an earlier stream, -inf
+    without one."""
+
+    def __init__(self, session: ProfileSource, timeout_s: float, after_s: float = -np.inf) -> None:
+        self._session, self._timeout_s = session, timeout_s
         self._blocks: list[ProfileBlock] = []
         self._lock, self._ending = threading.Lock(), threading.Event()
         self._error: MbcacqError | None = None
@@ -57,7 +85,7 @@ class ProfileStream:
         finally:
             self._seen = time.monotonic()
             self._ending.set()
-            self._thread.join(self._session.options.timeout_s)
+            self._thread.join(self._timeout_s)
 
     def taken(self) -> Profiles:
         """All since the last call. Raises what ended the stream, once nothing else is left."""
@@ -71,21 +99,21 @@ class ProfileStream:
         frames = found.counter if self._frame is None else np.r_[self._frame, found.counter]
         if (np.diff(frames) <= 0).any() or (np.diff(np.r_[self.latest_s, found.time_s]) < 0).any():
             raise DeviceFault(
-                "the Gocator's counter or clock began anew while it took profiles, so nobody can tell when later ones were taken; has it "
+                "the sensor's counter or clock began anew while it took profiles, so nobody can tell when later ones were taken; has it "
                 "restarted? Connect it again and repeat the sweep"
             )
         self._frame, self.latest_s = int(found.counter[-1]), float(found.time_s[-1])
         return Profiles(**{**vars(found), "lost": int(np.sum(np.diff(frames) - 1))})
 
     def _read(self) -> None:
-        reader, sock = self._session.reader, self._session.data_socket
+        sock = self._session.data_socket
         try:
             while not (self._ending.is_set() and time.monotonic() > self._seen + QUIET_S):
-                if reader is None or sock is None or not self._session.is_wanted:
+                if sock is None or not self._session.is_wanted:
                     return
                 if not select.select([sock], [], [], _POLL_S)[0]:
                     continue
-                found = block_of(read_set(reader, time.monotonic() + self._session.options.timeout_s))
+                found = self._session.next_profiles(time.monotonic() + self._timeout_s)
                 self._seen = time.monotonic()
                 if found is not None:
                     with self._lock:
@@ -104,7 +132,8 @@ def block_of(data: DataSet) -> ProfileBlock | None:
     array = profiles[0]
     if data.stamps is None or len(data.stamps) != len(array.array):
         raise ProtocolError(f"the Gocator sent {len(array.array)} profiles with {0 if data.stamps is None else len(data.stamps)} stamps")
-    return ProfileBlock(data.stamps.copy(), array.array.copy(), *_scales(array))
+    stamps = data.stamps.copy()
+    return ProfileBlock(stamps[:, 0], stamps[:, 1] / (TICKS_PER_US * 1e6), stamps[:, 2], stamps[:, 4], array.array.copy(), *_scales(array))
 
 
 def _scales(array: ArrayMessage) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -130,12 +159,6 @@ def joined(blocks: Sequence[ProfileBlock]) -> Profiles:
         points.append(np.column_stack([x, z[valid] * np.float32(scale[1]) + np.float32(offset[1])]))
         counts.append(valid.sum(axis=1))
     count = np.concatenate(counts)
-    stamps = np.concatenate([b.stamps for b in blocks]) if blocks else np.zeros((0, 5), np.int64)
-    return Profiles(
-        counter=stamps[:, 0],
-        time_s=stamps[:, 1] / (TICKS_PER_US * 1e6),
-        encoder=stamps[:, 2],
-        inputs=stamps[:, 4],
-        first=np.cumsum(count) - count,
-        points=np.concatenate(points),
-    )
+    kinds = {"counter": np.int64, "time_s": float, "encoder": np.int64, "inputs": np.int64}
+    columns = {name: np.concatenate([np.zeros(0, kind), *(getattr(b, name) for b in blocks)]) for name, kind in kinds.items()}
+    return Profiles(**columns, first=np.cumsum(count) - count, points=np.concatenate(points))

@@ -12,11 +12,13 @@ from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel
+from mbcacq_gocator.dataset import read_set
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
+from mbcacq_gocator.profiles import ProfileBlock, block_of
 from mbcacq_gocator.status import SensorRefused
 
 _RECEIVE_BUFFER = 4 * 2**20
@@ -45,6 +47,7 @@ class GocatorSession:
         self.configuration: Configuration | None = None
         self.alignment: Alignment | None = None
         self.running, self.exposure = False, "as set"
+        self.geometry: tuple[object, ...] = ()
         self._settings = threading.Lock()
 
     def open(self) -> None:
@@ -79,13 +82,15 @@ class GocatorSession:
 
     @property
     def data_socket(self) -> socket.socket | None:
-        """The connection of the data channel, to wait at; None once it is closed."""
         return self._data
 
     @property
     def is_wanted(self) -> bool:
-        """Whether nobody has stopped what waits for the sensor."""
         return not self._cancelled()
+
+    def next_profiles(self, deadline: float) -> ProfileBlock | None:
+        assert self.reader is not None, "the data channel is open"
+        return block_of(read_set(self.reader, deadline))
 
     def close(self) -> None:
         self.control.close()

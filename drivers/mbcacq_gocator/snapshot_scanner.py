@@ -1,22 +1,45 @@
-"""What the drivers of both generations of snapshot sensors do alike: connect, expose, and put back what was changed."""
+"""What the drivers of both generations of sensors do alike: connect, expose or stream profiles, and put back what was changed."""
 
 from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
-from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, Fact, IdentityError, ProtocolError, Scan
+import numpy as np
+
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceTimeout,
+    Fact,
+    IdentityError,
+    Profiles,
+    ProtocolError,
+    Scan,
+)
 from mbcacq_gocator.named_errors import named
+from mbcacq_gocator.profiles import ProfileSource, ProfileStream
+from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 FINEST_US = 0.51  # a sensor may keep whole microseconds
 RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
+_EXPOSURES = 3  # of one scan, until two lay their points out alike
 
 
-class Session(Protocol):
-    """A connection to a sensor, with what has been agreed over it. exposure: see ``exposure_reported``."""
+class Session(ProfileSource, Protocol):
+    """A connection to a sensor, with what has been agreed over it.
+
+    exposure: see ``exposure_reported``. geometry: scale, offset and size of the last scan, as its message says them.
+    """
 
     exposure: str
+    geometry: tuple[object, ...]
 
     def job(self) -> str:
         """Name of the job that is loaded now."""
@@ -41,18 +64,24 @@ def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
 class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     """Implements mbcacq.devices.Scanner. Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``."""
 
-    def __init__(self, name: str, model: str, exposure_us: float | None, description: Description) -> None:
+    def __init__(self, name: str, model: str, options: SnapshotOptions, description: Description) -> None:
         self.name, self.model = name, model
-        self._exposure_us, self._description = exposure_us, description
+        self._exposure_us, self._description = options.exposure_us, description
+        self._mode, self._timeout_s = options.mode, options.timeout_s
+        self._stream: ProfileStream | None = None
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
         self._session: S | None = None
         self._wanted = False
         self._facts: tuple[Fact, ...] = ()
+        self._geometry: tuple[object, ...] | None = None
 
     @abstractmethod
     def _opened(self) -> S:
         """A new session, and what the sensor is in the description."""
+
+    def _watch(self, session: S) -> None:
+        """Look at the sensor's health before it measures. Raises DeviceFault where it may not go on."""
 
     @abstractmethod
     def _expose(self, session: S) -> Scan:
@@ -66,7 +95,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def connect(self) -> None:
         """Raises ConnectError, IdentityError, ConfigError (job, exposure, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
         self._cancel.clear()
-        self._wanted = True
+        self._wanted, self._geometry = True, None
         try:
             self._connect()
         except BaseException:
@@ -88,10 +117,13 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say, over a new connection where the sensor has closed the last one meanwhile.
 
-        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted (``stop`` was called).
+        Raises ConfigError (it streams profiles), DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted
+        (``stop`` was called).
         """
         if not self._wanted:
             raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        if self._mode == "profile":
+            raise ConfigError(f"scanner '{self.name}' streams profiles; use a step 'sweep', or another mode in its options")
         with self._one_capture:
             if exposure_us is not None:
                 self._exposure_us = exposure_us
@@ -108,6 +140,43 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
                 if self._cancel.is_set() and isinstance(error, ConnectError):
                     raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
                 raise
+
+    def _confirmed(self, session: S, expose: Callable[[], Scan]) -> Scan:
+        """A scan whose geometry is that of the one before, or of a second exposure.
+
+        No checksum guards a message, and one wrong bit of a scale or an offset moves the whole cloud. They are settings of the job. A
+        sensor that has others in every scan is believed, with a warning.
+        """
+        known = [self._geometry]
+        for _ in range(_EXPOSURES):
+            scan = expose()
+            if session.geometry in known:
+                break
+            known.append(session.geometry)
+        if self._geometry not in (None, session.geometry):
+            text = f"scale, offset or size of the scans changed from {self._geometry} to {session.geometry}"
+            scan = replace(scan, warnings=(*scan.warnings, text))
+        self._geometry = session.geometry
+        return scan
+
+    def start_profiles(self) -> None:
+        if self._mode != "profile":
+            raise ConfigError(f"scanner '{self.name}' takes {self._mode} scans; say mode: profile in its options")
+        with named(self.name):
+            session = self._connect()
+            self._watch(session)
+            self._stream = ProfileStream(session, self._timeout_s, -np.inf if self._stream is None else self._stream.latest_s)
+
+    def profiles(self) -> Profiles:
+        if self._stream is None:
+            raise ConfigError(f"scanner '{self.name}' takes no profiles; call start_profiles first")
+        with named(self.name):
+            return self._stream.taken()
+
+    def end_profiles(self) -> None:
+        if self._stream is not None:
+            with named(self.name):
+                self._stream.end()
 
     def _connect(self) -> S:
         if self._session is not None and self._session.has_ended:

@@ -33,6 +33,7 @@ from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
 
 PROGRAM = 20261  # which mbcacq_ur.script this driver works with
 MOVE, STOP = 1, 2
+LEAST_TRAVEL = 1e-6  # rad; below it an axis stands
 LAST_NUMBER = 2**30  # of commands, then they begin again
 IDLE_S = 0.5  # on the controller's clock: idle for longer, and not at the target, the move was ended by something else
 WATCHDOG_S = 0.2  # without a package from here, as mbcacq_ur.script asks of the controller
@@ -136,9 +137,15 @@ class UrRtdeRobot(ContextDevice):
         raise ConnectError(f"{self._name} at {place}: {error}" if error is not None else f"{self._name} at {place} {why}") from error
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
-        """Start a movej to q (6,) rad, at the speed and acceleration of the slowest axis allowed. Raises SafetyStop outside the limits."""
+        """Start a movej to q (6,) rad, as fast as keeps every axis within its limits. Raises SafetyStop outside the limits."""
         target = joint_target(self._name, q, self._limits)
-        speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
+        with self._changed:
+            self._check()
+            latest = self._latest
+        assert latest is not None, "a connected robot has a state"
+        travel = np.maximum(np.abs(target - latest["actual_q"]), LEAST_TRAVEL)
+        share = travel / travel.max()  # movej takes speed and acceleration of the leading axis; all axes arrive together (URScript manual)
+        speed, acceleration = float(np.min(limits.speed / share)), float(np.min(limits.acceleration / share))
         if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
             raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")
         if self._options.follow:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, forget_failure, on_failure
 from mbcacq.cli.operator import MotionOptions
@@ -27,7 +25,6 @@ def command(
     poses: int = option("Number of poses, chosen at the first check.", default=12),
     placed_anew: bool = option("The artefact is placed anew for each check, so its place is not judged."),
     part: bool = option("Judge by the scans of PLAN's part instead of balls [always without balls]."),
-    fleet: Path | None = option("Table of mbcacq fleet: how arms change from day to day.", click.Path(path_type=Path, exists=True)),
     out: Path | None = option("Folder of the recording [default: runs/TIME_check-NAME]."),
     motion: MotionOptions = MotionOptions,  # type: ignore[assignment]
 ) -> Answer:
@@ -46,8 +43,6 @@ def command(
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
     from mbcacq.interim_check.check import CheckSettings
-    from mbcacq.interim_check.day_to_day import read_day_to_day
-    from mbcacq.interim_check.options import UsualChanges
 
     end_in_order_on_signals()
     steps = StepProgress()
@@ -58,8 +53,7 @@ def command(
         ),
     )
     loaded = mbcacq.load_plan(plan)
-    days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
-    settings = CheckSettings(poses, not placed_anew, days, out, part)
+    settings = CheckSettings(poses, not placed_anew, folder=out, part=part)
     with steps:
         done = mbcacq.check(
             result,

@@ -74,7 +74,6 @@ def command(
         click.FloatRange(0.01),
         default=OPTIONS.minutes,
     ),
-    look: bool = option("Only compute the evidence as it stands, without cross-validation; takes seconds.", None, "--evidence"),
     write_model: Path | None = option("Write the model file with what was found as MJCF.", FILE),
 ) -> Answer:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
@@ -96,9 +95,6 @@ def command(
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    if look:
-        with with_added(effect_files):
-            return evidence_of(data, options, out)
     with StepProgress() as progress, with_added(effect_files), opened_once():
         progress("reading the recording")
         found = mbcacq.diagnose(
@@ -169,23 +165,6 @@ def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
     planned = mbcacq.next_plan(data[0], file)
     written = [f"written to {file}"] if planned.text else []
     return ["", *planned.sentences, *written]
-
-
-def evidence_of(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, out: Path | None) -> Answer:
-    """The evidence of one recording, as JSON or in words."""
-    import json
-
-    import mbcacq
-    from mbcacq.diagnosis.output.evidence_summary import evidence_in_words
-    from mbcacq.model.json_text import plain
-
-    if len(data) != 1:
-        raise ConfigError("the evidence is weighed of one recording; give one with --evidence")
-    evidence = mbcacq.weigh_evidence(data[0], options)
-    text = json.dumps({"format": "mbcacq-evidence/1", **plain(evidence)}, allow_nan=False)
-    if out is not None:
-        write_file(out, text + "\n")
-    return Answer(text, [evidence_in_words(evidence)], ("test what it names on held-out poses", command_line("diagnose", *data)))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

@@ -324,8 +324,8 @@ def noise_left_by(joint: JointModel, start: Noise, prior: NoisePrior) -> Noise:
 
 
 def joint_noise_factor(full: ModelFit) -> float:
-    """By how much the joints repeat worse than the data sheet has it (median); 1 where they do not, beyond what it may be by chance, or
-    where the sheet is silent.
+    """Repeatability of the joints over that of the data sheet (median). It is 1 if the joints are no worse beyond chance, or if the sheet
+    states none.
 
     What repeats worse than that is an error that was not recognised: no verdict takes it for noise.
     """

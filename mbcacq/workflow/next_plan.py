@@ -9,10 +9,9 @@ from mbcacq.calibration.description import likely_cause_named
 from mbcacq.design.adaptive.next_plan import NextPoses, advised, next_plan_text
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
-from mbcacq.diagnosis.findings import Advice, EvidenceSummary
+from mbcacq.diagnosis.findings import Advice
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.errors import ConfigError, MbcacqError
-from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, load
@@ -36,31 +35,6 @@ class NextPlan:
             return [*said, "No pose that can be reached would decide more."]
         each = ", ".join(f"{len(v.poses)} poses at station {v.station}" for v in self.chosen.visits)
         return [*said, f"Next: {each}."]
-
-
-def weigh_evidence(data: Observations | Path | str, options: CalibrationOptions | None = None) -> EvidenceSummary:
-    """The evidence of a recording as it stands: the e-value of all effects together, and the compared sets with coefficients and odds.
-
-    ``diagnose`` decides by the same evidence. No cross-validation is made here. The e-value holds at every look while a recording grows.
-
-    Parameters
-    ----------
-    data
-        Observations, or where they are.
-    options
-        As for ``mbcacq.calibrate``.
-
-    Returns
-    -------
-    EvidenceSummary
-        E-value and sets of effects.
-
-    Raises
-    ------
-    CalibrationError
-        The data do not determine the geometry.
-    """
-    return _weighed(as_observations(data), options).summary
 
 
 def next_poses(
@@ -142,9 +116,9 @@ def next_plan(
     return NextPlan(chosen, text)
 
 
-def _weighed(observations: Observations, options: CalibrationOptions | None = None) -> InterimEvidence:
+def _weighed(observations: Observations) -> InterimEvidence:
     with likely_cause_named(observations):
-        return weigh(observations, options)
+        return weigh(observations)
 
 
 def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:

@@ -1,4 +1,4 @@
-"""A line scanner's stream of profiles: literal bytes, and a fake sensor that loses, restarts and goes away."""
+"""A line scanner's stream of profiles: literal bytes, and fake sensors of both generations that lose, restart and go away."""
 
 import time
 
@@ -7,10 +7,12 @@ import pytest
 from gocator_bench import options
 from mbcacq_fakes.protocols.gocator import FakeGocator
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
+from mbcacq_gocator.gopxl.driver import GoPxL
 from mbcacq_gocator.profiles import block_of, joined
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, ProfileScanner, ProtocolError
@@ -83,15 +85,24 @@ def taken_until_it_ends(driver):
         driver.profiles()
 
 
-@pytest.fixture
-def stream():
+def nothing(exposure_us):
+    return ScannerFrame(np.zeros((1, 1, 3), np.float32))
+
+
+@pytest.fixture(params=["classic", "GoPxL", "GoPxL, equal steps"])
+def stream(request):
     """A fake at 200 Hz, its world, and a driver of it that takes profiles."""
     world, made = Ramp(), []
 
     def make(**more):
-        about = FakeGocatorOptions(profiles=True, frame_rate_hz=200.0, clock_began_s=90.0, **more)
-        fake = FakeGocator(lambda exposure_us: ScannerFrame(np.zeros((1, 1, 3), np.float32)), about, world).start()
-        driver = Gocator("line", "", options(fake, mode="profile"))
+        about = {"profiles": True, "frame_rate_hz": 200.0, "clock_began_s": 90.0, **more}
+        if request.param == "classic":
+            fake = FakeGocator(nothing, FakeGocatorOptions(**about), world).start()
+            driver = Gocator("line", "", options(fake, mode="profile"))
+        else:
+            fake = FakeGoPxL(nothing, FakeGoPxLOptions(**about), line=world).start()
+            uniform = request.param.endswith("steps")
+            driver = GoPxL("line", "", {"address": "127.0.0.1", "control_port": fake.ports.control, "mode": "profile", "uniform": uniform})
         made.extend([driver.close, fake.stop])
         driver.connect()
         return world, driver, fake
@@ -148,7 +159,7 @@ def test_a_sensor_that_begins_anew_or_goes_away_gives_no_profile_another_time(st
     time.sleep(0.1)
     world.time_s += 0.5
     time.sleep(0.2)
-    fake.state.drop_connections()
+    fake.drop_connections()
     before = driver.profiles()
     assert 0 < len(before) <= 101
     with pytest.raises(ConnectError):
@@ -158,3 +169,11 @@ def test_a_sensor_that_begins_anew_or_goes_away_gives_no_profile_another_time(st
 def test_jobs_that_stream_nothing_are_refused(fake):
     with pytest.raises(ConfigError, match="scans in mode 'surface'; choose the scan mode Profile"):
         Gocator("line", "", options(fake, mode="profile")).connect()
+
+
+def test_a_gopxl_job_that_waits_for_software_triggers_is_refused():
+    with FakeGoPxL(nothing, FakeGoPxLOptions(profiles=True)) as fake:
+        fake.resources.group["triggerSettings"]["source"] = 3
+        driver = GoPxL("line", "", {"address": "127.0.0.1", "control_port": fake.ports.control, "mode": "profile"})
+        with pytest.raises(ConfigError, match="triggered by software, one profile at a time; choose Time, Encoder or External Input"):
+            driver.connect()

@@ -8,7 +8,8 @@ import struct
 import numpy as np
 import pytest
 from mbcacq_gocator.gopxl import discovery, frames, gdp
-from mbcacq_gocator.gopxl.points import points_of
+from mbcacq_gocator.gopxl.points import points_of, profile_block
+from mbcacq_gocator.profiles import joined
 
 from mbcacq.devices import ProtocolError
 
@@ -29,6 +30,11 @@ POINTS_2_X_2 = bytes.fromhex(
     "0000000000000000 0000000000000000 0000000000000000 01000000 001bb749 00"
     "ceff ceff 0a00 0080 0080 0080 ceff 3200 1400 3200 3200 1e00 64 00 78 8c"
 )
+# Three points, steps of 20 um and 2 um, from x = -5 mm and z = 250 mm on, 1.5 ms of exposure; the middle point is invalid.
+PROFILE_COMMON = "23000000 01 00 00 00000000 00000000 0400 613a7063 0100 73 0700000000000000 01 0100"
+PROFILE_SECTION = "2e00 03000000 00000000 7b14ae47e17a943f fca9f1d24d62603f 00000000000014c0 0000000000406f40 001bb749"
+PROFILE_POINTS = bytes.fromhex(f"63000000 0d00 {PROFILE_COMMON} {PROFILE_SECTION} ceff e803 0080 0080 3200 18fc")
+UNIFORM_PROFILE = bytes.fromhex(f"5d000000 0c00 {PROFILE_COMMON} {PROFILE_SECTION} e803 0080 18fc")
 MEASUREMENT = bytes.fromhex(
     "31000000 1300 22000000 00 00 00 00000000 00000000 0300 743a58 0100 73 0700000000000000 01 0200 000000000000f43f 01"
 )
@@ -54,7 +60,7 @@ def test_a_reply_is_read():
 
 def test_a_stamp_is_read():
     assert gdp.parse_common(memoryview(STAMP)) == (11, "a:stamp", 7, False, 0, 44, False)
-    assert collected(STAMP).stamp == (7, 1024000, 1700000000.0)
+    assert collected(STAMP).stamp == (7, 1024000, 0, 1700000000.0)
 
 
 def test_a_point_cloud_is_read_in_mm_with_its_grey_values():
@@ -65,6 +71,23 @@ def test_a_point_cloud_is_read_in_mm_with_its_grey_values():
     np.testing.assert_allclose(points, [[-1, -1, 0.02], [-1, 1, 0.04], [1, 1, 0.06]], atol=1e-6)
     assert surface.intensity.tolist() == [[100, 0], [120, 140]]
     assert surface.exposure_us == pytest.approx(1500)
+
+
+@pytest.mark.parametrize(("message", "x"), [(PROFILE_POINTS, [-6, -4]), (UNIFORM_PROFILE, [-5, -4.96])])
+def test_a_profile_is_read_in_mm_with_the_system_time_of_its_stamp(message, x):
+    found = joined([profile_block(collected(STAMP, message), right_handed=False)])
+    assert (found.counter.tolist(), found.time_s.tolist(), found.first.tolist()) == ([7], [1.7e9], [0])
+    np.testing.assert_allclose(found.points, np.column_stack([x, [252, 248]]), atol=1e-4)
+    np.testing.assert_allclose(joined([profile_block(collected(STAMP, message))]).points[:, 0], -np.array(x), atol=1e-4)
+
+
+def test_a_profile_that_is_shorter_than_it_says_or_has_no_stamp_is_refused():
+    cut = bytearray(PROFILE_POINTS[:-2])
+    cut[0] -= 2
+    with pytest.raises(ProtocolError, match="3 points does not fit"):
+        collected(STAMP, bytes(cut))
+    with pytest.raises(ProtocolError, match="without a stamp"):
+        profile_block(collected(PROFILE_POINTS))
 
 
 def test_points_are_right_handed_by_turning_x_round():

@@ -41,31 +41,14 @@ def cable():
             subprocess.run(["ip", "netns", "delete", space], capture_output=True, timeout=900)
 
 
-PLAYED = """
-import json, sys
-sys.path.insert(0, sys.argv[1])
-from gopxl_scene import tilted_plane
-from mbcacq_fakes.protocols import gocator, gopxl
-kinds = {"gopxl": (gopxl.FakeGoPxL, gopxl.FakeGoPxLOptions), "gocator": (gocator.FakeGocator, gocator.FakeGocatorOptions)}
-make, options = kinds[sys.argv[2]]
-with make(lambda exposure_us: tilted_plane(), options(**json.loads(sys.argv[3]))):
-    print("listens", flush=True)
-    sys.stdin.read()
-"""
-PORTS = {
-    "gopxl": {"control_port": 3600, "data_port": 3601, "discovery_port": 3320},
-    "gocator": {"control_port": 3190, "health_port": 3194, "data_port": 3196, "discovery": True},
-}
-
-
 @contextmanager
-def sensor(space, kind, **options):
-    arguments = [os.path.dirname(__file__), kind, json.dumps({**PORTS[kind], **options})]
-    command = ["ip", "netns", "exec", space, sys.executable, "-c", PLAYED, *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "listens\n"
-        yield
-        process.stdin.close()
+def sensor(space, module, *options):
+    command = ["ip", "netns", "exec", space, sys.executable, "-m", f"mbcacq_fakes.protocols.{module}", "--pixels", "40", "50", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield json.loads(process.stdout.readline())
+        finally:
+            process.terminate()
 
 
 def listed(space):
@@ -76,7 +59,7 @@ def listed(space):
 @pytest.mark.parametrize("host", ["0.0.0.0", SENSOR])
 def test_a_sensor_is_found_where_it_can_be_reached(cable, host):
     ours, theirs = cable
-    with sensor(theirs, "gopxl", host=host):
+    with sensor(theirs, "gopxl", "--host", host):
         found = subprocess.run(["ip", "netns", "exec", ours, sys.executable, "-c", SCAN], capture_output=True, text=True, timeout=900)
         assert found.stdout.split() == ["3504", "True"], found.stderr
 
@@ -90,7 +73,7 @@ with GoPxL("s", "3504", {"serial": 12345, "timeout_s": 60}) as scanner:
 
 def test_both_generations_are_listed_at_once(cable):
     ours, theirs = cable
-    with sensor(theirs, "gopxl", host="0.0.0.0", serial=67890), sensor(theirs, "gocator", host=SENSOR):
+    with sensor(theirs, "gopxl", "--host", "0.0.0.0", "--serial", "67890"), sensor(theirs, "gocator", "--host", SENSOR, "--discovery"):
         new, classic = listed(ours)
     assert new == f"3504  serial 67890  GoPxL 1.5.12.3  at {SENSOR}, control 3600, data 3601"
     assert re.fullmatch(r"3210  serial 12345  firmware 6\..*  at 10\.77\.1\.10/24", classic)
@@ -98,7 +81,7 @@ def test_both_generations_are_listed_at_once(cable):
 
 def test_a_sensor_that_answers_in_both_ways_is_listed_once(cable):
     ours, theirs = cable
-    with sensor(theirs, "gopxl", host="0.0.0.0"), sensor(theirs, "gocator", host=SENSOR):
+    with sensor(theirs, "gopxl", "--host", "0.0.0.0"), sensor(theirs, "gocator", "--host", SENSOR, "--discovery"):
         assert listed(ours) == [f"3504  serial 12345  GoPxL 1.5.12.3  at {SENSOR}, control 3600, data 3601"]
 
 
@@ -126,7 +109,7 @@ for ear in ears:
 def test_every_program_that_listens_on_3320_hears_the_answer(cable, same_computer):
     ours, theirs = cable
     asker, address = (theirs, SENSOR) if same_computer else (ours, COMPUTER)
-    with sensor(theirs, "gopxl", host="0.0.0.0"):
+    with sensor(theirs, "gopxl", "--host", "0.0.0.0"):
         command = ["ip", "netns", "exec", asker, sys.executable, "-c", VENDOR, address, "10.77.1.255"]
         heard = subprocess.run(command, check=True, capture_output=True, text=True, timeout=900).stdout.split()
     assert [parse(bytes.fromhex(data), "").address for data in heard] == [SENSOR, SENSOR]

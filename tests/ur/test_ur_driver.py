@@ -133,6 +133,19 @@ def test_options_that_cannot_be_are_named(controller, options, sentence):
         arm(controller, **options)
 
 
+def test_axes_whose_limits_are_in_proportion_to_their_travel_move_as_fast_as_these_allow(controller):
+    travel = np.radians([20.0, -10, 5, 0, 0, 1])
+    limits = MotionLimits(*(rate * np.maximum(np.abs(travel), 1e-4) for rate in (2.0, 20.0, 2000.0)), settle_s=0.05)
+    with arm(controller) as robot:
+        robot.move_to(robot.state().q + travel, limits)
+        while not robot.state().arrived:
+            time.sleep(0.01)
+        cycles = robot.cycles().columns
+    speed = np.abs(np.gradient(cycles["q"], cycles["time_s"], axis=0))
+    assert speed[:, 0].max() == pytest.approx(limits.speed[0], rel=0.02)
+    assert (speed <= 1.02 * limits.speed).all()
+
+
 def test_a_target_beyond_the_limits_moves_nothing(controller):
     with arm(controller, limits_deg=[[-100, 100]] * 6) as robot:
         with pytest.raises(SafetyStop, match=r"A2 would go to -101.000°, outside the joint limits -100..100°; nothing was moved"):

@@ -21,7 +21,6 @@ mbcacq calibrate latest --out result.json
 mbcacq compare latest
 mbcacq compare runs/first runs/second
 mbcacq verify runs/first runs/second
-mbcacq diagnose latest --evidence
 mbcacq export latest --results handover --simulated-anyway
 mbcacq fleet runs --out arms
 mbcacq simulate plans/quick.yaml --out twin

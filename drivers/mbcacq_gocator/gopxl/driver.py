@@ -1,4 +1,4 @@
-"""A snapshot sensor that runs GoPxL as an mbcacq scanner, by software trigger."""
+"""A sensor that runs GoPxL as an mbcacq scanner: surfaces by software trigger, or a stream of profiles."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
-        super().__init__(name, model, self.options.exposure_us, about)
+        super().__init__(name, model, self.options, about)
         self._found: Found | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
@@ -63,9 +63,13 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
             finally:
                 self._drop()
 
+    def _watch(self, session: GoPxLSession) -> None:
+        for warning in self._guard.look(session.health()):
+            _log.warning("scanner '%s': %s", self.name, warning)
+
     def _expose(self, session: GoPxLSession) -> Scan:
-        scan = session.expose(self._exposure_us)
-        return replace(scan, warnings=self._guard.look(scan.health))
+        scan = self._confirmed(session, lambda: session.expose(self._exposure_us))
+        return replace(scan, warnings=(*scan.warnings, *self._guard.look(scan.health)))
 
     def _opened(self) -> GoPxLSession:
         place = self._place = located(self.options)

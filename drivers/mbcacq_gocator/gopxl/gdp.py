@@ -11,12 +11,13 @@ import numpy as np
 from mbcacq.devices import ProtocolError
 from mbcacq_gocator.wire import MessageReader
 
-NULL, STAMP, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT = 10, 11, 14, 15, 19
+NULL, STAMP, UNIFORM_PROFILE, PROFILE_POINTS, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT = 10, 11, 12, 13, 14, 15, 19
 NO_VALUE = -1.7976931348623157e308
 MAX_MESSAGES = 4096  # of one set
 _HEAD = struct.Struct("<IHI")
 _STAMP = struct.Struct("<HQQqqQQQ")
 _SURFACE = struct.Struct("<HIIII3d3dIf")
+_PROFILE = struct.Struct("<HII4df")
 _LEGACY_BYTES = range(7)  # pixel formats that take one byte a pixel, whatever they are called
 
 
@@ -33,21 +34,34 @@ class Common(NamedTuple):
 
 
 class GdpStamp(NamedTuple):
+    """timestamp: in a unit that nobody documents; encoder: ticks."""
+
     frame: int
     timestamp: int
+    encoder: int
     system_time_s: float
 
 
 @dataclass(frozen=True)
 class GdpSurface:
-    """raw: (L, W, 3) or, uniform, (L, W) int16, -32768 where invalid. scale, offset: (3,) mm. intensity: (L, W) uint8 or None."""
+    """raw: (L, W, 3) or, uniform, (L, W) int16, -32768 where invalid. scale, offset: (3,) mm. intensity: (L, W) uint8 or None. layout: what
+    the points' place in the message and in space is computed from."""
 
     raw: np.ndarray
     scale: np.ndarray
     offset: np.ndarray
     exposure_us: float
     intensity: np.ndarray | None = None
-    transformed: bool = False
+    layout: tuple[object, ...] = ()
+
+
+@dataclass(frozen=True)
+class GdpProfile:
+    """raw: (W, 2) x and z or, uniform, (W,) z, int16, -32768 where invalid. scale, offset: mm, of x and z."""
+
+    raw: np.ndarray
+    scale: tuple[float, float]
+    offset: tuple[float, float]
 
 
 @dataclass
@@ -56,6 +70,7 @@ class GdpSet:
 
     stamp: GdpStamp | None = None
     surface: GdpSurface | None = None
+    profile: GdpProfile | None = None
     measurements: dict[int, float] = field(default_factory=dict)
     refused: dict[int, int] = field(default_factory=dict)
     other: set[int] = field(default_factory=set)
@@ -81,6 +96,8 @@ def add(found: GdpSet, message: memoryview, common: Common) -> None:
             found.stamp = stamp(message, common.body)
         elif common.type in (UNIFORM_SURFACE, SURFACE_POINTS):
             found.surface = surface(message, common)
+        elif common.type in (UNIFORM_PROFILE, PROFILE_POINTS):
+            found.profile = profile(message, common)
         elif common.type == MEASUREMENT:
             found.measurements[common.output] = measurement(message, common.body)
         elif common.type == NULL:
@@ -121,10 +138,10 @@ def _text(message: memoryview, at: int) -> tuple[str, int]:
 
 
 def stamp(message: memoryview, at: int) -> GdpStamp:
-    size, frame, timestamp, _, _, _, seconds, nanoseconds = _STAMP.unpack_from(message, at)
+    size, frame, timestamp, encoder, _, _, seconds, nanoseconds = _STAMP.unpack_from(message, at)
     if size < _STAMP.size:
         raise struct.error
-    return GdpStamp(frame, timestamp, seconds + nanoseconds * 1e-9)
+    return GdpStamp(frame, timestamp, encoder, seconds + nanoseconds * 1e-9)
 
 
 def measurement(message: memoryview, at: int) -> float:
@@ -151,7 +168,23 @@ def surface(message: memoryview, common: Common) -> GdpSurface:
     grey = _intensity(message, start + 2 * count, grey_rows, grey_columns, pixel_format)
     if grey is not None and grey.shape != (rows, columns):
         raise ProtocolError(f"the intensity image is {grey.shape} but the surface {(rows, columns)}")
-    return GdpSurface(raw, scale, offset, exposure_ns * 1e-3, grey, common.transformed)
+    layout = (rows, columns, grey_rows, grey_columns, *rest[:6], size, pixel_format, at, common.transformed)
+    return GdpSurface(raw, scale, offset, exposure_ns * 1e-3, grey, layout)
+
+
+def profile(message: memoryview, common: Common) -> GdpProfile:
+    """The array is a view into the message; grey values are not read. Raises ProtocolError if it does not fit into it."""
+    size, width, _, x_step, z_step, x_offset, z_offset, _ = _PROFILE.unpack_from(message, common.body)
+    if size < _PROFILE.size:
+        raise struct.error
+    points = common.type == PROFILE_POINTS
+    count, start = width * (2 if points else 1), common.body + size
+    if start + 2 * count > len(message):
+        raise ProtocolError(f"a GDP profile of {width} points does not fit into its {len(message)} bytes")
+    if not np.isfinite((x_step, z_step, x_offset, z_offset)).all():
+        raise ProtocolError("a GDP profile has a resolution or an offset that is no number")
+    raw = np.frombuffer(message, "<i2", count, start)
+    return GdpProfile(raw.reshape(width, 2) if points else raw, (x_step, z_step), (x_offset, z_offset))
 
 
 def _intensity(message: memoryview, start: int, rows: int, columns: int, pixel_format: int) -> np.ndarray | None:

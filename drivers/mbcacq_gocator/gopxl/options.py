@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -12,12 +12,14 @@ from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 
 class GoPxLOptions(SnapshotOptions):
-    """data_port: 0 takes the one that the sensor names. source: id of the data source, '' for the scanner's own surface. uniform: a height
-    map instead of a point cloud. right_handed: turn x of the sensor's left-handed frame round. The others: see SnapshotOptions.
+    """mode: surface takes scans by software trigger. data_port: 0 takes the one that the sensor names. source: id of the data source, ''
+    for the scanner's own surface or profile. uniform: a height map, or profiles in equal steps of x, instead of a point cloud.
+    right_handed: turn x of the sensor's left-handed frame round. The others: see SnapshotOptions.
     """
 
     control_port: int = Field(default=3600, ge=1, le=65535, strict=True)
     data_port: int = Field(default=0, ge=0, le=65535, strict=True)
+    mode: Literal["surface", "profile"] = "surface"
     source: str = ""
     uniform: bool = Field(default=False, strict=True)
     right_handed: bool = Field(default=True, strict=True)

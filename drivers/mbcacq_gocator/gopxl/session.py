@@ -14,8 +14,9 @@ from mbcacq_gocator.conversion import picked
 from mbcacq_gocator.gopxl import gdp, tree
 from mbcacq_gocator.gopxl.control import JOB_S, STATE_S, GoPxLControl
 from mbcacq_gocator.gopxl.options import GoPxLOptions
-from mbcacq_gocator.gopxl.points import points_of
+from mbcacq_gocator.gopxl.points import points_of, profile_block
 from mbcacq_gocator.gopxl.restore import Found
+from mbcacq_gocator.profiles import ProfileBlock
 from mbcacq_gocator.snapshot_scanner import FINEST_US, exposure_reported
 from mbcacq_gocator.status import meaning
 
@@ -43,6 +44,7 @@ class GoPxLSession:
         self._last_frame = -1
         self.exposure_us: float | None = None
         self.exposure = "as set"
+        self.geometry: tuple[object, ...] = ()
 
     @property
     def scanner(self) -> tree.ScannerPaths:
@@ -107,18 +109,34 @@ class GoPxLSession:
             )
 
     def _set_up(self) -> None:
-        """Software trigger, surface with intensity, one exposure; what was set before is remembered."""
+        """Surfaces with intensity by software trigger, or profiles as the job triggers them; one exposure. What was set before is
+        remembered."""
         if self._first:
             self.found.paths = self.scanner
             self._remember(self.scanner.group, self.found.scanner, "triggerSettings", "scanModeSettings")
             self._remember(self.scanner.sensor, self.found.sensor, "exposureSettings")
-        modes = {"scanMode": tree.SURFACE_MODE, "intensityEnabled": True, "uniformSpacingEnabled": self.options.uniform}
-        group = {"triggerSettings": {"source": tree.SOFTWARE_TRIGGER}, "scanModeSettings": modes}
-        self.control.update(self.scanner.group, {"parameters": group})
+        streams = self.options.mode == "profile"
+        modes = {
+            "scanMode": tree.PROFILE_MODE if streams else tree.SURFACE_MODE,
+            "intensityEnabled": not streams,
+            "uniformSpacingEnabled": self.options.uniform,
+        }
+        if streams:
+            self._refuse_software_trigger()
+        trigger = {} if streams else {"triggerSettings": {"source": tree.SOFTWARE_TRIGGER}}
+        self.control.update(self.scanner.group, {"parameters": {**trigger, "scanModeSettings": modes}})
         if self.options.exposure_us is not None:
             self.set_exposure(self.options.exposure_us)
         else:
             self.exposure_us = self._exposure()
+
+    def _refuse_software_trigger(self) -> None:
+        parameters = self.control.read(self.scanner.group).get("parameters")
+        trigger = parameters.get("triggerSettings") if isinstance(parameters, dict) else None
+        if isinstance(trigger, dict) and trigger.get("source") == tree.SOFTWARE_TRIGGER:
+            raise ConfigError(
+                f"the sensor's job '{self.job()}' is triggered by software, one profile at a time; choose Time, Encoder or External Input"
+            )
 
     def _remember(self, path: str, kept: dict[str, Any], *keys: str) -> None:
         parameters = self.control.read(path).get("parameters")
@@ -135,7 +153,7 @@ class GoPxLSession:
         """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault if another one was taken."""
         if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < FINEST_US:
             return
-        self.rest()
+        self.stop()
         settings = {"exposureMode": tree.SINGLE_EXPOSURE, "singleExposure": exposure_us}
         self.control.update(self.scanner.sensor, {"parameters": {"exposureSettings": settings}})
         self.exposure_us = self._exposure()
@@ -143,16 +161,18 @@ class GoPxLSession:
             raise DeviceFault(f"the sensor took an exposure of {self.exposure_us} us instead of {exposure_us:g} us; check its limits")
 
     def _add_output(self) -> None:
-        """Have the surface, and a stamp where the sensor has one to send, sent over GDP; add what is missing only."""
+        """Have the scans, and a stamp where the sensor has one to send, sent over GDP; add what is missing only."""
         if self._first:
             self.found.protocol = self.control.read(tree.GDP).get("enabled") is True
         self.control.update(tree.GDP, {"enabled": True})
         there = tree.outputs(self.control.read(tree.GDP_OUTPUTS))
-        wanted = [tree.surface_source(self.control, self.scanner, self.options.uniform, self.options.source)]
+        wanted = [tree.scan_source(self.control, self.scanner, self.options.mode, self.options.uniform, self.options.source)]
         stamp = f"{self.scanner.source_prefix}stamp"
         self._stamped = stamp in tree.data_sources(self.control.read(f"{self.scanner.group}/outputs", expandLevel=1))
         if self._stamped:
             wanted.append(stamp)
+        elif self.options.mode == "profile":
+            raise ConfigError(f"the sensor has no data source '{stamp}', so nobody can tell when a profile was taken")
         for source in wanted:
             if source not in there:
                 number = max([-1, *there.values()]) + 1
@@ -167,13 +187,25 @@ class GoPxLSession:
         self._data = wire.connect(self.options.address, port, "GoPxL data", self.options.connect_timeout_s, _RECEIVE_BUFFER)
         self._reader = wire.MessageReader(self._data, "scan", self._cancelled)
 
-    def run(self) -> None:
+    @property
+    def data_socket(self) -> socket.socket | None:
+        return self._data
+
+    @property
+    def is_wanted(self) -> bool:
+        return not self._cancelled()
+
+    def next_profiles(self, deadline: float) -> ProfileBlock | None:
+        assert self._reader is not None, "the data channel is open"
+        return profile_block(gdp.read_set(self._reader, deadline), self.options.right_handed)
+
+    def start(self) -> None:
         """Let the sensor run, waiting for triggers, if it does not already."""
         if not self._running:
             self.control.call(tree.START, limit_s=STATE_S)
             self._running = True
 
-    def rest(self) -> None:
+    def stop(self) -> None:
         if self._running:
             self.control.call(tree.STOP, limit_s=STATE_S)
             self._running = False
@@ -182,11 +214,12 @@ class GoPxLSession:
         """Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError, Aborted."""
         if exposure_us is not None:
             self.set_exposure(exposure_us)
-        self.run()
+        self.start()
         self._discard_old()
         self.control.call(self.scanner.trigger, limit_s=STATE_S)
         found = self._wait_for_surface()
         assert found.surface is not None
+        self.geometry = found.surface.layout
         self.exposure = exposure_reported(found.surface.exposure_us, self.exposure_us)
         points, pixel = points_of(found.surface, self.options.right_handed)
         shape = found.surface.raw.shape[:2]

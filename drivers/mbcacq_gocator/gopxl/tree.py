@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ SYSTEM, START, STOP = "/system", "/system/commands/start", "/system/commands/sto
 JOBS, LOAD_JOB = "/jobs", "/jobs/commands/load"
 GDP, GDP_OUTPUTS = "/controls/gocator", "/controls/gocator/outputs"
 READY, RUNNING, CONFLICT = 0, 1, 2
-SOFTWARE_TRIGGER, SURFACE_MODE, SINGLE_EXPOSURE = 3, 3, 0
+SOFTWARE_TRIGGER, PROFILE_MODE, SURFACE_MODE, SINGLE_EXPOSURE = 3, 2, 3, 0
 ALIGNED = 1
 MAX_CHILDREN = 4096
 
@@ -99,10 +100,11 @@ def _href(item: Any) -> str:
     return href if isinstance(href, str) else ""
 
 
-def surface_source(control: GoPxLControl, scanner: ScannerPaths, uniform: bool, asked: str = "") -> str:
-    """Id of the data source of the scanner's own surface.
+def scan_source(control: GoPxLControl, scanner: ScannerPaths, mode: str, uniform: bool, asked: str = "") -> str:
+    """Id of the data source of the scanner's own surface or profile.
 
-    asked: the plan's choice. Raises ConfigError naming what there is, where there is none, or more than one to choose from.
+    mode: 'surface' or 'profile'. asked: the plan's choice. Raises ConfigError naming what there is, where there is none, or more than one
+    to choose from.
     """
     ids = data_sources(control.read(f"{scanner.group}/outputs", expandLevel=1))
     if asked:
@@ -112,10 +114,10 @@ def surface_source(control: GoPxLControl, scanner: ScannerPaths, uniform: bool, 
         return asked
     own = [i for i in ids if i.startswith(scanner.source_prefix)]
     keys = {i: i.rsplit(":", 1)[-1].lower() for i in own}
-    surfaces = [i for i in own if "surface" in keys[i] or "pointcloud" in keys[i]]
-    fitting = [i for i in surfaces if ("uniform" in keys[i]) == uniform]
+    scans = [i for i in own if ("profile" in keys[i]) == (mode == "profile") and re.search("surface|profile|pointcloud", keys[i])]
+    fitting = [i for i in scans if ("uniform" in keys[i]) == uniform]
     if len(fitting) != 1:
-        kind = "uniform surface" if uniform else "surface point cloud"
+        kind = f"uniform {mode}" if uniform else f"{mode} point cloud"
         raise ConfigError(
             f"the sensor offers {len(fitting)} outputs that could be its {kind} (there are: {', '.join(ids) or 'none'}); "
             "name one in the option source"

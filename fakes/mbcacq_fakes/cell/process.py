@@ -139,16 +139,15 @@ class Servers:
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
+        line = LineCamera(self._camera, self._state) if settings["profiles"] else None
         if self._job["scanner_driver"] == "gopxl":
-            settings.pop("profiles")
             from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 
             _refuse_unknown(given, FakeGoPxLOptions)
-            return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), clock=lambda: 0.0)
+            return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), lambda: 0.0, line)
         from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
 
         _refuse_unknown(given, FakeGocatorOptions)
-        line = LineCamera(self._camera, self._state) if settings.get("profiles") else None
         return FakeGocator(self._camera, FakeGocatorOptions(**settings), line)
 
     def _start_positioner(self) -> dict[str, Any]:

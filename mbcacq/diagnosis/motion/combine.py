@@ -207,7 +207,7 @@ class PosesAndMotion:
         return named_side(pair, self.together.reported) if self.together.decided else []
 
     def _load_by_both(self, pair: NotSeparable) -> list[str]:
-        """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
+        """The load, or the masses of the arm in its place in the motion: the one that poses and motion make twenty times as probable."""
         first, second = pair.effects
         load, odds = (second, 1.0) if first == ARM else (first, -1.0)
         own = sum(_own_log_odds(load, one.evidence) for one in self.motion.evidence)

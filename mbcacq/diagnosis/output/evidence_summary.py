@@ -12,14 +12,13 @@ from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import stands_for_untried
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import relative_odds, reported_hypothesis, undecided
-from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
+from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
-from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
-from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.in_words import odds_in_words
 
-MOST_SETS = 6  # that the text shows
 MOST_LOG_ODDS = 300.0  # whose exponential is a number
 
 
@@ -99,15 +98,3 @@ def e_value_in_words(evidence: EvidenceSummary) -> tuple[str, str]:
     """The odds of effects against none, and whether there is one."""
     odds = odds_in_words(float(np.exp(min(evidence.log_e_value, MOST_LOG_ODDS))))
     return odds, "there is an effect" if evidence.significant else "no effect is shown"
-
-
-def evidence_in_words(evidence: EvidenceSummary) -> str:
-    """The e-value and the most probable sets as text of several lines."""
-    least = float(np.exp(evidence.least_log_e_value))
-    odds, found = e_value_in_words(evidence)
-    lines = [f"{evidence.poses} poses: effects against none {odds} (an effect is reported from {least:.0f} : 1 on): {found}."]
-    for one in evidence.sets[:MOST_SETS]:
-        named = TOGETHER.join(effect_in_words(label_of(e.name, e.where)) for e in one.effects) or "no effect"
-        values = "; ".join(parameter_in_words(name, p) for e in one.effects for name, p in e.parameters.items())
-        lines.append(f"  {odds_in_words(float(np.exp(one.log_odds))):<24} {named}{f': {values}' if values else ''}")
-    return "\n".join([*lines, *(f"Note: {sentence}." for sentence in evidence.untried)])

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbcacq_fakes.protocols.line_sensor import LineSensorOptions
+
 DISCOVERY_PORT = 3220
 
 
@@ -20,15 +22,14 @@ class Ports(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FakeGocatorOptions:
+class FakeGocatorOptions(LineSensorOptions):
     """A port of 0 is any free one. discovery: answer on udp ``discovery_port`` with replies sent to ``broadcast``.
 
-    scan_time_s: duration of an exposure. generation: 4, 5 or 6, the firmware whose message layouts are used. intensity, uniform: what
-    the jobs switch on. clock: the world's time in s; with it ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts
-    from its start. volume: (low, high) (3,) mm of the measuring volume, None for the extent of each frame. frame_rate_hz: 0 for jobs
-    triggered by software, else they are triggered by time. password: '' with security off, else what the administrator logs in with.
-    profiles: the jobs are those of a line scanner, whose clock began ``clock_began_s`` after the world's, runs faster by
-    ``clock_drift``, and whose stamps scatter by ``stamp_jitter_s``; a share of ``lost_profiles`` is counted and never sent.
+    scan_time_s: duration of an exposure. generation: 4, 5 or 6, the firmware whose message layouts are used. part_number: '' for the
+    one that belongs to the model. intensity, uniform: what the jobs switch on. clock: the world's time in s; with it
+    ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts from its start. volume: (low, high) (3,) mm of the measuring
+    volume, None for the extent of each frame. frame_rate_hz: 0 for jobs triggered by software, else they are triggered by time.
+    password: '' with security off, else what the administrator logs in with. The others: see LineSensorOptions.
     """
 
     host: str = "127.0.0.1"
@@ -40,6 +41,7 @@ class FakeGocatorOptions:
     broadcast: str = "255.255.255.255"
     model: str = "3210"
     serial: int = 12345
+    part_number: str = ""
     scan_time_s: float = 0.0
     jobs: tuple[str, ...] = ("bench.job", "other.job")
     generation: int = 6
@@ -48,10 +50,4 @@ class FakeGocatorOptions:
     clock: Callable[[], float] | None = None
     volume: tuple[np.ndarray, np.ndarray] | None = None
     health_period_s: float = 1.0
-    frame_rate_hz: float = 0.0
     password: str = ""
-    profiles: bool = False
-    clock_began_s: float = 0.0
-    clock_drift: float = 0.0
-    stamp_jitter_s: float = 0.0
-    lost_profiles: float = 0.0

@@ -11,8 +11,8 @@ from mbcacq_fakes.protocols.gocator.discovery import Discovery
 from mbcacq_fakes.protocols.gocator.exposures import Source, expose_on_request
 from mbcacq_fakes.protocols.gocator.health import health_messages, publish_health
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
-from mbcacq_fakes.protocols.gocator.profiles import LineSource, ProfileSender
 from mbcacq_fakes.protocols.gocator.state import SensorState
+from mbcacq_fakes.protocols.line_sensor import LineSource, ProfileSender
 from mbcacq_fakes.protocols.sensor_server import SensorServer
 
 
@@ -41,7 +41,7 @@ class FakeGocator(SensorServer):
             "fake-gocator-health": partial(publish_health, self.state),
         }
         if self._line is not None:
-            stream = ProfileSender(self.state, self._line)
+            stream = ProfileSender(self.state, self._line, self.state.serial)
             self.state.catch_up = stream.catch_up
             threads["fake-gocator-profiles"] = stream.run
         return threads

@@ -8,11 +8,17 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from mbcacq_fakes.protocols.faults import Faults
+from mbcacq_fakes.protocols.gocator import encode
+from mbcacq_fakes.protocols.gocator.data_faults import apply_fault
 from mbcacq_fakes.protocols.gocator.faults import FAULTS
-from mbcacq_fakes.protocols.gocator.files import Files
+from mbcacq_fakes.protocols.gocator.files import EXPOSURE, Files
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.publish import Publisher
+from mbcacq_fakes.protocols.gocator.quantise import Scaling
+from mbcacq_fakes.protocols.line_sensor import PATIENCE_S
 from mbcacq_fakes.protocols.tcp_server import ClientThreads
 
 TICKS_PER_S = 1.024e6
@@ -58,7 +64,7 @@ class SensorState:
 
     @property
     def part_number(self) -> str:
-        return f"31{self.model}A-2-R-01-T"
+        return self.options.part_number or f"31{self.model}A-2-R-01-T"
 
     @property
     def address(self) -> str:
@@ -72,6 +78,21 @@ class SensorState:
         """The sensor's clock in the unit of time stamps."""
         clock = self.options.clock
         return int((clock() if clock else self.uptime_s) * TICKS_PER_S)
+
+    def profile_period_s(self) -> float | None:
+        return 1 / max(self.files.number("Setup/Trigger/FrameRate"), 1e-3) if self.running else None
+
+    def restarts(self) -> bool:
+        return bool(self.faults.use("restart"))
+
+    def send_profile(self, index: int, own_s: float, profile: np.ndarray) -> None:
+        low, high = self.options.volume or (np.array([-100.0, 0.0, -100.0]), np.array([100.0, 0.0, 100.0]))
+        exposure_ns = int(round(self.files.number(EXPOSURE) * 1000))
+        body = encode.profile_points(profile[None], Scaling.over(low, high), exposure_ns, self.generation)
+        stamp = encode.stamp(index, max(int(own_s * TICKS_PER_S), 0), self.encoder, self.serial, self.generation)
+        messages = apply_fault([stamp, encode.mark_last(body)], self.faults)
+        self.data.wait_for_client(0.5)
+        self.data.publish(messages, PATIENCE_S)
 
     def drop_connections(self) -> None:
         """Close every connection of every client; new ones are accepted."""

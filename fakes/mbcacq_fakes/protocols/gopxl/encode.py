@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq_fakes.protocols.gocator.quantise import Scaling, extent, quantise, uniform_grid
 from mbcacq_fakes.world.frame import ScannerFrame
 
-STAMP, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 14, 15, 19, 10
+STAMP, UNIFORM_PROFILE, PROFILE_POINTS, UNIFORM_SURFACE, SURFACE_POINTS, MEASUREMENT, NULL = 11, 12, 13, 14, 15, 19, 10
 
 
 def common(source: str, set_id: int, last: bool, output: int, space: int = 1) -> bytes:
@@ -31,7 +31,7 @@ def stamp(index: int, time_s: float) -> bytes:
     return struct.pack("<HQQqqQQQ", 58, index, round(time_s * 1.024e9), 0, 0, 0, whole, nanoseconds)
 
 
-def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: float, volume=None) -> bytes:
+def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: float, new_form: bool, volume=None) -> bytes:
     """Body of a surface. The world's frame is right-handed, the sensor's is not: its x runs the other way."""
     mirrored = frame.xyz * np.array([-1, 1, 1], np.float32)
     grey = frame.intensity
@@ -46,13 +46,41 @@ def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: fl
         quantise(mirrored, scaling, raw)
     rows, columns = frame.xyz.shape[0], frame.xyz.shape[1]
     sends_grey = intensity and grey is not None
-    size = 78 + (not uniform)
+    size = 74 + (not uniform) + 4 * new_form
     section = struct.pack("<HIIII", size, rows, columns, rows * sends_grey, columns * sends_grey)
     section += struct.pack("<3d3dIf", *scaling.scale, *scaling.offset, 1, exposure_us * 1e3)
-    section += (b"" if uniform else b"\0") + struct.pack("<i", 1)
+    section += (b"" if uniform else b"\0") + (struct.pack("<i", 1) if new_form else b"")
     return section + np.ascontiguousarray(raw, "<i2").tobytes() + (np.ascontiguousarray(grey).tobytes() if sends_grey else b"")
 
 
-def measurement(value: float) -> bytes:
+def profile(frame: ScannerFrame, exposure_us: float) -> bytes:
+    """Body of a uniform profile: the middle row of the surface, without grey values."""
+    raw, _, scaling = uniform_grid(frame.xyz * np.array([-1, 1, 1], np.float32), frame.intensity)
+    return _profile(raw[len(raw) // 2], scaling, exposure_us)
+
+
+def profile_points(xz: np.ndarray, volume: tuple[np.ndarray, np.ndarray], exposure_us: float) -> bytes:
+    """Body of a profile point cloud. xz: (W, 2) mm, NaN where nothing was measured. volume: (low, high) (3,) mm."""
+    low, high = volume
+    scaling = Scaling.over(np.array([-high[0], *low[1:]]), np.array([-low[0], *high[1:]]))
+    raw = np.empty((1, len(xz), 3), "<i2")
+    quantise(np.column_stack([-xz[:, 0], 0 * xz[:, 0], xz[:, 1]])[None].astype(np.float32), scaling, raw)
+    return _profile(raw[0][:, [0, 2]], scaling, exposure_us)
+
+
+def _profile(raw: np.ndarray, scaling: Scaling, exposure_us: float) -> bytes:
+    (x_step, _, z_step), (x_offset, _, z_offset) = scaling.scale, scaling.offset
+    section = struct.pack("<HII4df", 46, len(raw), 0, x_step, z_step, x_offset, z_offset, exposure_us * 1e3)
+    return section + np.ascontiguousarray(raw, "<i2").tobytes()
+
+
+def middle_of_profile(frame: ScannerFrame) -> float:
+    """The middle of a box around the points of the middle row, along x in the sensor's frame (mm); NaN without a point."""
+    x = -frame.xyz[len(frame.xyz) // 2, :, 0]
+    return float(np.nanmin(x) + np.nanmax(x)) / 2 if np.any(np.isfinite(x)) else float("nan")
+
+
+def measurement(value: float, new_form: bool) -> bytes:
     valid = bool(np.isfinite(value))
-    return struct.pack("<dB3d", value if valid else -1.7976931348623157e308, 1 if valid else 2, 0, 0, 0)
+    body = struct.pack("<dB", value if valid else -1.7976931348623157e308, 1 if valid else 2)
+    return body + (struct.pack("<3d", 0, 0, 0) if new_form else b"")

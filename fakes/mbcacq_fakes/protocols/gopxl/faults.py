@@ -16,4 +16,5 @@ FAULTS = {
     "close_data": "the data connection is closed instead of sending",
     "close_in_message": "the data connection is closed in the middle of the surface message",
     "stall": "the data connection goes silent in the middle of the surface message",
+    "restart": "counter and clock of the profiles begin anew",
 }
