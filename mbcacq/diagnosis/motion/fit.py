@@ -134,7 +134,7 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
     """Residuals and squared errors (J,) of the base, with the channel as it was recorded."""
     store, delay = model.store, model.store.delay
     store.correct_delay(0.0)
-    base = model.without_load_error(store.base)
+    base = np.setdiff1d(store.base, model.load_error, assume_unique=True)
     x = store.solve(store.normal(model.weights(base)), base)
     out = _residuals(model, base, x), store.errors(base, x)
     store.correct_delay(delay)
