@@ -76,7 +76,7 @@ class _Motions:
 
 
 @dataclass(frozen=True)
-class Together:
+class RegisteredScans:
     """N scans that were brought together.
 
     T_base_scanner: (N, 4, 4) mm. used: numbers of those that hang together. noise: of one scan. cells: of all scans, as they are
@@ -91,7 +91,7 @@ class Together:
     middle: np.ndarray
 
 
-def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> Together:
+def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> RegisteredScans:
     """Bring thinned scans together.
 
     Parameters
@@ -127,7 +127,7 @@ def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray
             break
         cells, used = _connected(every, len(T), options.cells[0], options)
         found = _without_gross(cells, len(used), noise, options)
-    return Together(T, used, noise, every, found, cells.point.mean(axis=0))
+    return RegisteredScans(T, used, noise, every, found, cells.point.mean(axis=0))
 
 
 def cell_edge(surfaces: Sequence[ScanSurface], options: PartOptions) -> float:
@@ -231,7 +231,7 @@ def _motions(cells: SurfaceCells, count: int, noise: SmoothNoise, options: PartO
     return _Motions(twist, np.array(centre), directions, open_, information, own, residual)
 
 
-def _scene(of: Together) -> RegisteredScene:
+def _scene(of: RegisteredScans) -> RegisteredScene:
     T, used, found, origin = of.T_base_scanner, of.used, of.motions, of.middle
     own = _diagonal([np.linalg.inv(block) for block in found.own])
     root = np.linalg.cholesky(own)

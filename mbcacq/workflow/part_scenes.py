@@ -69,11 +69,11 @@ def _trial_on_part(source: Path, obs: Observations, station: str, name: str, cel
     without = np.array([gain[(of != number).all(axis=1)].mean() for number in np.unique(of)])
     sigma = float(np.sqrt((len(without) - 1) * np.var(without)))
     if not cell.effects:
-        told = "they agree as well as expected" if found.ratio < CLEAR else "they show that an effect is missing"
+        verdict = "they agree as well as expected" if found.ratio < CLEAR else "they show that an effect is missing"
     elif gain.mean() > 2 * sigma:
-        told = "they confirm what was found" + ("" if found.ratio < CLEAR else ", and show that something is missing")
+        verdict = "they confirm what was found" + ("" if found.ratio < CLEAR else ", and show that something is missing")
     else:
-        told = "they contradict what was found" if gain.mean() < -2 * sigma else "they cannot tell whether what was found is right"
+        verdict = "they contradict what was found" if gain.mean() < -2 * sigma else "they cannot tell whether what was found is right"
     figures = [
         TransferFigures(found.rms_mm(way.name), float(np.median(mm)), float(np.mean([pair.normalised[way.name] for pair in found.pairs])))
         for way, mm in zip(ways, by_name.values(), strict=True)
@@ -87,7 +87,7 @@ def _trial_on_part(source: Path, obs: Observations, station: str, name: str, cel
         own_geometry=None,
         effects=(),
         normalised_error=None,
-        warnings=(f"{told}; {micrometres(found.expected_mm)} are expected of the calibration and the scanner",),
+        warnings=(f"{verdict}; {micrometres(found.expected_mm)} are expected of the calibration and the scanner",),
         recording=name,
     )
 
