@@ -43,6 +43,9 @@ def design(
     out: Path | None = option(
         "The new plan [default: NAME_designed.yaml in the folder of PLAN], or the table of the motion [default: NAME_motion.csv]."
     ),
+    criterion: str = option(
+        "A: mean variance of the certified distances; D: volume of the parameters' confidence region.", ["A", "D"], default="A"
+    ),
     tilt: float = option("Steepest view, in °.", click.FloatRange(5, 60), default=40.0),
     seed: int = option("Seed of the random views to choose from, and of the simulated cells.", default=0),
     force: bool = option("Replace the file if it exists."),
@@ -82,7 +85,7 @@ def design(
         echo(sentence, err=True)
     with StepProgress() as steps:
         steps.begin("choosing views by what the calibration learns from them")
-        result = design(loaded, count, steepest_deg=tilt, seed=seed)
+        result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
         from mbcacq.files.atomic_write import write_file
 
         write_file(target, result.text)
@@ -92,7 +95,7 @@ def design(
         rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
     if sentence := scope_sentence(new, poses):
         echo(sentence, err=True)
-    how = {"plan": str(target), "tried": result.tried}
+    how = {"plan": str(target), "tried": result.tried, "criterion": criterion}
     return Answer(
         {"format": "mbcacq-plan-design/1", **how, "given": rows[0], "designed": rows[1]},
         [_comparison(rows), f"chosen from {result.tried} views that can be taken; written to {target}"],

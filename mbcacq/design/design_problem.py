@@ -9,7 +9,7 @@ import numpy as np
 from mbcacq.calibration.verification import ball_positions, pairs_of_balls, verification_poses
 from mbcacq.design.candidate_views import CandidateView
 from mbcacq.design.information_blocks import InformationBlocks
-from mbcacq.design.optimality_criteria import AOptimality
+from mbcacq.design.optimality_criteria import AOptimality, Criterion, DOptimality
 from mbcacq.design.options import OPTIONS
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.estimation import identifiability, parameters
@@ -45,8 +45,10 @@ class DesignProblem:
         self.blocks = every[len(kept) :]
         self.groups = np.unique([f"{c.station} {c.aim}" for c in found], return_inverse=True)[1]
 
-    def criterion(self) -> AOptimality:
-        """The mean variance of the certified distances, or of points all over the reach where there are none."""
+    def criterion(self, name: str) -> Criterion:
+        """'A' or 'D', see ``optimal_design.design``."""
+        if name == "D":
+            return DOptimality(self.layout.size)
         target = np.zeros_like(self.base)
         g = self.layout.size
         rows = distance_rows(self._loaded, self._poses, self.layout)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.design.optimality_criteria import AOptimality, updated_covariance, volume_gains
+from mbcacq.design.optimality_criteria import Criterion, DOptimality, updated_covariance
 from mbcacq.design.options import OPTIONS
 
 
-def choose_by_exchange(base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: AOptimality) -> list[int]:
+def choose_by_exchange(base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: Criterion) -> list[int]:
     """Indices of ``count`` candidates, best as far as greedy growth and exchanges of single poses go.
 
     base: (G, G) information known without them, invertible; blocks: (P, r, G), see ``optimality_criteria``; groups: (P,) station of each.
@@ -20,7 +20,7 @@ def choose_by_exchange(base: np.ndarray, blocks: np.ndarray, groups: np.ndarray,
 
 
 def _greedy_growth(
-    base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: AOptimality
+    base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: Criterion
 ) -> tuple[list[int], np.ndarray]:
     """Indices one after the other, and the covariance with them.
 
@@ -28,6 +28,7 @@ def _greedy_growth(
     """
     C = np.linalg.inv(base)
     chosen: list[int] = []
+    everything = DOptimality(len(base))
     stations: Sequence = [s for s in np.unique(groups) for _ in range(2)][:count]
     for k in range(count):
         free = np.ones(len(blocks), bool)
@@ -36,13 +37,13 @@ def _greedy_growth(
             free &= groups == stations[k]
         if not free.any():
             continue
-        gains = np.where(free, volume_gains(C, blocks) if k < len(stations) else criterion.gains(C, blocks, 1.0), -np.inf)
+        gains = np.where(free, (everything if k < len(stations) else criterion).gains(C, blocks, 1.0), -np.inf)
         chosen.append(int(np.argmax(gains)))
         C = updated_covariance(C, blocks[chosen[-1]], 1.0)
     return chosen, C
 
 
-def _exchange(chosen: list[int], C: np.ndarray, blocks: np.ndarray, criterion: AOptimality) -> list[int]:
+def _exchange(chosen: list[int], C: np.ndarray, blocks: np.ndarray, criterion: Criterion) -> list[int]:
     """The chosen poses after exchanging the least useful one for the most useful other, as long as that helps."""
     chosen = list(chosen)
     for _ in range(OPTIONS.exchange_rounds * len(chosen)):

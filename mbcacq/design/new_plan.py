@@ -101,7 +101,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     steps = _steps([v for v in found if v.station == kept[0]], [f"p{k + 1}" for k in range(len(kept))], len(apart))
     loaded = load(request.out, _text(head, places, artefact.id, steps))
     progress(f"choosing {request.options.poses} views at {len(kept)} stations by what the calibration learns from them")
-    result = design(loaded, request.options.poses, steepest_deg=38.0, seed=request.options.seed)
+    result = design(loaded, request.options.poses, criterion="A", steepest_deg=38.0, seed=request.options.seed)
     loaded, left_out = _without_errors(load(request.out, result.text), progress)
     _write(request.out, loaded.text, names)
     poses = expand_reachable(loaded)[0]

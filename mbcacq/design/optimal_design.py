@@ -39,11 +39,12 @@ class Design:
     repairs: tuple[str, ...] = ()
 
 
-def design(loaded: LoadedPlan, count: int, *, steepest_deg: float = 40.0, seed: int = 0) -> Design:
+def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg: float = 40.0, seed: int = 0) -> Design:
     """Replace the plan's 'position' poses by ``count`` others at the same stations; the poses of its other phases stay and count.
 
-    They are the best by the mean variance of the certified distances at the verification poses; without such, of points all over the
-    reach. Raises ConfigError if the plan has no station to choose poses at, or fewer poses can be taken.
+    criterion: 'A' (mean variance of the certified distances at the verification poses; without such, of points all over the reach) or
+    'D' (volume of the parameters' confidence region). Raises ConfigError if the plan has no station to choose poses at, or fewer
+    poses can be taken.
     """
     loaded, repairs = repaired(loaded)
     poses = expand_reachable(loaded)[0] if any(isinstance(s, Look) and s.phase == "position" for s in loaded.plan.steps) else expand(loaded)
@@ -55,7 +56,7 @@ def design(loaded: LoadedPlan, count: int, *, steepest_deg: float = 40.0, seed: 
         raise ConfigError(f"{loaded.path}: {tried}, fewer than the {count} asked for; move the stations, or ask for fewer")
     kept = [p for p in poses if p.phase in ("translation", "orientation")]
     problem = DesignProblem(loaded, kept, found, poses)
-    picked = choose_by_exchange(problem.base, problem.blocks, problem.groups, count, problem.criterion())
+    picked = choose_by_exchange(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion))
     chosen = by_station([found[k] for k in picked], stations)
     return Design(with_views(loaded, chosen), chosen, len(found), tuple(repairs))
 

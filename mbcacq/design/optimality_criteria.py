@@ -1,5 +1,4 @@
-"""A-optimality of a set of poses, and what one more or one fewer pose changes in it; and the volume that a pose takes from the region of
-confidence.
+"""A-optimality and D-optimality of a set of poses, and what one more or one fewer pose changes in them.
 
 Each pose is a block B (r, G): its whitened rows by all G unknowns (arm, hand-eye, six of each station). With M the information so far
 and C its inverse, a pose turns C into C - C B' inv(I + B C B') B C; what that gains is computed for many poses in one batch.
@@ -30,9 +29,24 @@ class AOptimality:
         return _spared(gain, S, sign)
 
 
-def volume_gains(C: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """(P,) decrease of the log determinant of the covariance C (G, G) by adding each block of B (P, r, G)."""
-    return np.linalg.slogdet(_schur(B, C, 1.0))[1]
+@dataclass(frozen=True)
+class DOptimality:
+    """Volume of the confidence region of the first ``own`` unknowns, as the log determinant of their covariance."""
+
+    own: int
+
+    def value(self, C: np.ndarray) -> float:
+        return float(np.linalg.slogdet(C[: self.own, : self.own])[1])
+
+    def gains(self, C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
+        """By the determinant lemma: the volume of the own unknowns is that of all, less that of the stations with the own ones known."""
+        S, rest = _schur(B, C, sign), slice(self.own, None)
+        inner = np.linalg.inv(np.linalg.inv(C)[rest, rest]) if C.shape[0] > self.own else np.zeros((0, 0))
+        T = _schur(B[..., rest], inner, sign)
+        return _spared(np.linalg.slogdet(S)[1] - np.linalg.slogdet(T)[1], S, sign)
+
+
+Criterion = AOptimality | DOptimality
 
 
 def updated_covariance(C: np.ndarray, B: np.ndarray, sign: float) -> np.ndarray:
