@@ -52,6 +52,7 @@ class KukaEki(ContextDevice):
         "interpreter.",
         "`mbcacq doctor {plan} --arm` names model, machine data, tool and load; compare each with the smartPAD. Note KSS and EKI versions.",
         "The angles in the viewer agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
+        "Only if the plan has external axes: jogged by hand, each goes the way that the plan's direction says, in mm or degrees.",
         "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
         "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
         "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
@@ -195,7 +196,9 @@ class KukaEki(ContextDevice):
         session.begin(
             Move(number, away, settle_s),
             None if target is None else tuple(target.tolist()),
-            telegrams.command(self._options.axes, kind, number, session.beat, acceleration=self._options.acceleration_percent, **values),
+            telegrams.command(
+                kind, number, session.beat, acceleration=self._options.acceleration_percent, names=self._options.axes, **values
+            ),
         )
 
     def _refuse_following(self) -> None:

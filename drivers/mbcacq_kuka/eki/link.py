@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from mbcacq.devices import ConnectError, LinkLost, ProtocolError, TcpLink
 from mbcacq_kuka.eki.framing import Cutter, FramingError
-from mbcacq_kuka.eki.telegrams import BEAT, BadTelegram, Hello, State, command, parse
+from mbcacq_kuka.eki.telegrams import AXES, BEAT, BadTelegram, Hello, State, command, parse
 
 RETRY_S = 0.1
 _SEND_S, _LONGEST_S = 1.0, 5.0
@@ -17,7 +17,7 @@ _SEND_S, _LONGEST_S = 1.0, 5.0
 class Link(TcpLink):
     """Whole telegrams. ``telegrams`` is for one thread, ``send`` for any."""
 
-    def __init__(self, address: str, port: int, timeout_s: float, names: Sequence[str]) -> None:
+    def __init__(self, address: str, port: int, timeout_s: float, names: Sequence[str] = AXES) -> None:
         """names: of the axes. Raises ConnectError."""
         self._names = names
         self.where, self._cutter = f"{address}:{port}", Cutter("Robot")
@@ -38,14 +38,14 @@ class Link(TcpLink):
             raise ProtocolError(f"the controller at {self.where} sent a useless telegram: {error}; the arm is stopped") from error
 
 
-def dial(address: str, port: int, names: Sequence[str], wait_s: float, quit_event: threading.Event) -> Link:
+def dial(address: str, port: int, wait_s: float, quit_event: threading.Event, names: Sequence[str] = AXES) -> Link:
     """Connect, trying again while the controller makes its channel new, until ``quit_event``. Raises ConnectError."""
     deadline = time.monotonic() + wait_s
     while True:
         try:
             link = Link(address, port, max(RETRY_S, min(wait_s, _LONGEST_S)), names)
             try:
-                link.send(command(names, BEAT))  # EKI 6 knows of a client only by its first telegram
+                link.send(command(BEAT, names=names))  # EKI 6 knows of a client only by its first telegram
             except LinkLost as error:
                 link.close()
                 raise ConnectError(f"the controller's EKI channel {link.where} hung up at once ({error})") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -88,18 +87,18 @@ class EkiOptions(KukaOptions):
             raise ValueError("beat_ms must be less than half of controller_silence_ms, or the controller brakes by itself")
         return self
 
-    @cached_property
+    @property
     def axes(self) -> tuple[str, ...]:
         """(n,) names in the order of the telegrams."""
         return (*AXES, *sorted(axis.name for axis in self.external_axes))
 
-    @cached_property
+    @property
     def limits(self) -> np.ndarray:
         """(n, 2) deg or mm, in the order of the telegrams."""
         own = dict(zip(AXES, self.limits_deg, strict=True)) | {axis.name: axis.limits for axis in self.external_axes}
         return np.array([own[name] for name in self.axes])
 
-    @cached_property
+    @property
     def speeds(self) -> np.ndarray:
         """(n,) deg/s or mm/s at 100 %, in the order of the telegrams."""
         own = dict(zip(AXES, self.speed_deg_s, strict=True)) | {axis.name: axis.speed for axis in self.external_axes}
@@ -113,11 +112,11 @@ class EkiOptions(KukaOptions):
         """Positions (.., n) in the order of the plan, in rad or mm, of those in a telegram."""
         return np.asarray(values, dtype=float)[..., np.argsort(self._at)] / self._factor
 
-    @cached_property
+    @property
     def _factor(self) -> np.ndarray:
         return np.array([*(1.0 if axis.slides else np.degrees(1.0) for axis in self.external_axes), *(np.degrees(1.0),) * len(AXES)])
 
-    @cached_property
+    @property
     def _at(self) -> np.ndarray:
         """(n,) where the plan has each axis of a telegram."""
         plan = (*(axis.name for axis in self.external_axes), *AXES)

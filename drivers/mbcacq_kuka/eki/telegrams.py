@@ -94,13 +94,13 @@ def interface(names: Sequence[str]) -> str:
 
 
 def command(
-    names: Sequence[str],
     kind: int,
     number: int = 0,
     beat: int = 0,
     speed: float = 0.0,
     acceleration: int = 0,
     axes: Sequence[float] | None = None,
+    names: Sequence[str] = AXES,
 ) -> bytes:
     """Always with every element: EKI keeps a queue for each, and they must not fall out of step. names: of all axes; speed: %."""
     a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(names, axes or (0.0,) * len(names), strict=True))
@@ -109,10 +109,10 @@ def command(
     ).encode("ascii")
 
 
-def switch(names: Sequence[str], number: int, output: int, on: bool, beat: int) -> bytes:
+def switch(number: int, output: int, on: bool, beat: int, names: Sequence[str] = AXES) -> bytes:
     """The command that switches $OUT[output]. Its two values travel where moves have acceleration and speed, as every telegram has the same
     elements."""
-    return command(names, SWITCH, number, beat, speed=float(on), acceleration=output)
+    return command(SWITCH, number, beat, speed=float(on), acceleration=output, names=names)
 
 
 def parse(data: bytes, names: Sequence[str] = AXES) -> tuple[Hello | None, State | None]:

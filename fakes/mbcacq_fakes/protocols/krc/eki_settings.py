@@ -94,6 +94,10 @@ class EkiSettings(ArmSettings):
         """Names of all axes, as KRL writes them."""
         return ("a1", "a2", "a3", "a4", "a5", "a6", *(axis["name"].lower() for axis in self.behind))
 
+    @property
+    def start(self) -> tuple[float, ...]:
+        return tuple(self.as_the_plan([*self.start_deg, *(float(axis["start"]) for axis in self.behind)]))
+
     def as_the_plan(self, values: Sequence[float]) -> list[float]:
         """Values of all axes (n,) deg, mm in the plan's order, in rad, mm."""
         own = {axis["name"]: v if axis["slides"] else radians(v) for axis, v in zip(self.behind, values[6:], strict=True)}
