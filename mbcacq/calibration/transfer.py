@@ -80,12 +80,12 @@ class Transfer(AsJson):
         what is tried.
     robust : TransferFigures or None
         ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None if there are none. All
-        other figures are of every centre: what is tested does not choose by what.
+        other figures include every centre: a tested cell must not select its own test.
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None
-        ``with_effects`` of the centres at which every covariate of the effects is as it was where they were learnt, and of the others;
-        None if all centres are one of both.
+        ``with_effects`` of the centres whose covariates are all within the ranges in which the effects were learnt, and of the others; None
+        if all centres are of one kind.
     inside_centres : int
         The number of the former.
     """

@@ -258,7 +258,7 @@ def some_poses(obs: Observations, most: int) -> np.ndarray:
 @dataclass(frozen=True)
 class _Stage:
     """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, those that the
-    fit has beside them, then one for each group; scale: (G,) size of each group in its prior size.
+    fit has beside them, then one for each group; scale: (G,) size of each group in units of its prior size.
     """
 
     fitted: CalibratedCell
@@ -361,8 +361,8 @@ class _Stage:
 
 
 def group_scales(S: np.ndarray, b: np.ndarray, several: Sequence[EffectTerm], start: np.ndarray, smallest: float) -> np.ndarray:
-    """(G,) size of each group in its prior size, zero where it is below the smallest. S (k, k), b (k,): normal equations of the groups
-    without their priors, all else eliminated.
+    """(G,) size of each group in units of its prior size, zero where it is below the smallest. S (k, k), b (k,): normal equations of the
+    groups without their priors, all else eliminated.
     """
     sigma = np.concatenate([g.sigma for g in several])
     fixed = np.array([given_size(g) for g in several])

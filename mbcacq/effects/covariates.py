@@ -305,7 +305,7 @@ class Covariates:
 
     @cached_property
     def computed_once(self) -> ComputedOnce:
-        """What was computed of the recording: a hundred groups are functions of one covariate."""
+        """A cache of functions of the recording: a hundred groups may need the same covariate."""
         return ComputedOnce()
 
     def _value(self, name: str) -> np.ndarray:

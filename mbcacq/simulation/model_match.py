@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import floor, isfinite, log10
 from pathlib import Path
 
@@ -32,7 +32,7 @@ class ModelParameter:
     p_value : Number
         The p-value of the block's difference from the model as it was given.
     named : bool
-        Whether the diagnosis named it; otherwise the residual that it left asked for it.
+        Whether the diagnosis named it; otherwise it was added because of the residual.
     """
 
     name: str
@@ -107,10 +107,6 @@ class ModelMatch(AsJson):
     def write(self, path: Path | str) -> Path:
         """Write the model with what was found. Raises ConfigError if the file cannot be written."""
         return write_file(path, self.xml)
-
-    def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
-        """The same with the errors in a held-out recording."""
-        return replace(self, checks=(*self.checks, ModelCheck(recording, errors)))
 
     @property
     def verdict(self) -> str | None:

@@ -174,9 +174,7 @@ def text_of(placed: Sequence[PlacedTerm], values: np.ndarray) -> str:
 
 
 def term_of(context: Context, formula: Formula) -> EffectTerm:
-    """The formula with its coefficients as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a
-    term's coefficients of one unit.
-    """
+    """The formula as the term of an effect. Typical sizes are the fitted ones, rounded; coefficients of one term and unit share one."""
     found, k = formula.hypothesis.solved, len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]

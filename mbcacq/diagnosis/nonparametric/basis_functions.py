@@ -140,7 +140,7 @@ class Basis:
         return self.evaluation.value(name) if self.per_pose else self.evaluation.at_centres(name)
 
     def shapes(self, name: str, columns: Sequence[Column], each: int | None = None, falling: bool = False, at: str = "") -> list[Shape]:
-        """Functions, centred and of unit size, as shapes of ``each`` of them, or as one; those that do not vary are left out."""
+        """Centred functions of unit size, each a shape of its own (``each``) or all one shape, without those that do not vary."""
         F = self.evaluation(columns, self.per_pose)
         mean = F.mean(axis=0)
         centred = F - mean

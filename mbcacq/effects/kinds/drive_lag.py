@@ -66,7 +66,7 @@ def _lag(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
 
 
 def _total_delay(run: MotionSignals, joint: int) -> float:
-    """By how much (s) the actual angle is late in all: slope over the speed, fitted with the next terms of the series."""
+    """Total delay (s) of the actual angle: its slope over the speed, fitted together with the next terms of the series."""
     qd, qdd, qddd = (available(rate)[:, joint] for rate in (run.qd_set, run.qdd_set, run.qddd_set))
     rates = np.stack([-qd, qdd, -qddd, np.ones(len(run.q))], axis=1)
     scale = np.maximum(np.linalg.norm(rates, axis=0), 1e-300)
