@@ -16,14 +16,16 @@ AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
 REFUSALS = {
     **{k: f"A{k} would leave the limits written into its program" for k in range(1, 7)},
-    **{20 + k: f"E{k} would leave the limits written into its program" for k in range(1, 7)},
-    19: "it has less external axes than the plan",
     10: "it does not know this kind of move",
     11: "the speed is beyond what its program allows",
     12: "the acceleration is beyond what its program allows",
     13: "eight moves wait already",
     14: "its program does not run",
     15: "the number of the move was used before",
+}
+EXTERNAL_REFUSALS = {
+    19: "it has less external axes than the plan",
+    **{20 + k: f"E{k} would leave the limits written into its program" for k in range(1, 7)},
 }
 SWITCH_REFUSALS = {
     16: "its program may not switch it (the files on the controller must be those that `mbcacq controller-files` writes for this plan)",
