@@ -129,16 +129,16 @@ class KukaEki(ContextDevice):
         o, robot = self._options, f"robot '{self._name}'"
         external = np.asarray(q, dtype=float)[: len(o.external_axes)]
         arm = joint_target(robot, np.asarray(q)[len(external) :], np.radians(o.limits_deg))
-        target = o.told(np.concatenate([external, arm]))
+        target = o.in_telegram(np.concatenate([external, arm]))
         for name, value, (low, high) in list(zip(o.axes, target, o.limits, strict=True))[len(arm) :]:
             if not low - _ROUNDING <= value <= high + _ROUNDING:
                 raise SafetyStop(f"{robot}: {name} would go to {value:.3f}, outside the plan's limits {low:g}..{high:g}; nothing was moved")
-        speed = o.told(np.broadcast_to(np.asarray(limits.speed, dtype=float), target.shape))
+        speed = o.in_telegram(np.broadcast_to(np.asarray(limits.speed, dtype=float), target.shape))
         if not (np.isfinite(speed).all() and (speed > 0).all()):
             raise ConfigError(f"{robot}: speed limits must be positive")
         percent = float(np.floor(np.clip(100.0 * np.min(speed / o.speeds) + 1e-9, 1.0, 100.0)))
         wanted = np.clip(target, *o.limits.T)
-        tolerance = o.told(np.broadcast_to(np.asarray(limits.tolerance, dtype=float), target.shape))
+        tolerance = o.in_telegram(np.broadcast_to(np.asarray(limits.tolerance, dtype=float), target.shape))
 
         def away(state: State) -> float:
             return float(np.max(np.abs(np.array(state.axis) - wanted) / tolerance))
@@ -162,7 +162,7 @@ class KukaEki(ContextDevice):
         session = self._check()
         state, arrived = session.latest, session.arrived
         moving = bool(state.moving) or (session.busy and not arrived)
-        return RobotState(state.time * 1e-3, self._options.counted(state.axis), moving, arrived)
+        return RobotState(state.time * 1e-3, self._options.in_plan(state.axis), moving, arrived)
 
     def cycles(self) -> Cycles:
         return self._record.drain()

@@ -104,11 +104,11 @@ class EkiOptions(KukaOptions):
         own = dict(zip(AXES, self.speed_deg_s, strict=True)) | {axis.name: axis.speed for axis in self.external_axes}
         return np.array([own[name] for name in self.axes])
 
-    def told(self, values: np.ndarray) -> np.ndarray:
+    def in_telegram(self, values: np.ndarray) -> np.ndarray:
         """(n,) as telegrams have them, of positions or speeds (n,) in the order of the plan, in rad or mm."""
         return (values * self._factor)[self._at]
 
-    def counted(self, values: np.ndarray) -> np.ndarray:
+    def in_plan(self, values: np.ndarray) -> np.ndarray:
         """Positions (.., n) in the order of the plan, in rad or mm, of those in a telegram."""
         return np.asarray(values, dtype=float)[..., np.argsort(self._at)] / self._factor
 

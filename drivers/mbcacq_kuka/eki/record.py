@@ -56,9 +56,9 @@ class Record:
                 "moving": rows[:, 3].astype(bool),
                 "sign_of_life_ms": rows[:, 4],
                 "connection": rows[:, 5],
-                "q": self._options.counted(rows[:, 18 : 18 + n]),
+                "q": self._options.in_plan(rows[:, 18 : 18 + n]),
                 "q_set": np.full((len(rows), n), np.nan),
-                "q_command": self._options.counted(rows[:, 18 + n :]),
+                "q_command": self._options.in_plan(rows[:, 18 + n :]),
                 "current_percent": rows[:, 6:12],
                 "tool_in_base_mm_deg": rows[:, 12:18],
             }
