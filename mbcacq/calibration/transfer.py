@@ -84,8 +84,8 @@ class Transfer(AsJson):
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None
-        ``with_effects`` of the centres at which every covariate of the effects is as it was where they were learnt, and of the others;
-        None if all centres are one of both.
+        ``with_effects`` of the centres whose covariates are all within the ranges in which the effects were learnt, and of the others; None
+        if all centres are of one kind.
     inside_centres : int
         The number of the former.
     """

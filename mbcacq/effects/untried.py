@@ -1,7 +1,7 @@
 """What the catalogue leaves out for a recording although the cell may have it: a name among the few that were tried may be wrong.
 
 An error of a gear is claimed to be periodic only where the joint travels far enough, and weight is known only where masses are. An effect
-that is left out for such a reason acts all the same. It stands as a smooth function at its location, so that no effect that was tried is
+that is left out for such a reason may still act. It stands as a smooth function at its location, so that no effect that was tried is
 named with confidence where such a function does as well.
 """
 

@@ -119,7 +119,7 @@ def estimates_of(rows: Sequence[FleetRow], name: str) -> tuple[np.ndarray, np.nd
 
 
 def arrow_schema(rows: Sequence[FleetRow]) -> Any:
-    """The columns of rows with their types, the same whatever the recordings have, but for their parameters."""
+    """The columns of rows with their types. Only those of parameters depend on the recordings."""
     import pyarrow as pa
 
     kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "float": pa.float64()}

@@ -85,7 +85,7 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
 
 
 def _with_effects_of_both(found: DiagnosisResult, searched: PosesGiven) -> DiagnosisResult:
-    """The diagnosis with the effects that poses and motion decide together as its model, where they do."""
+    """The diagnosis whose model has the effects that poses and motion decided together, if they decided any."""
     both = None if found.both is None else found.both.together
     model = searched.model(both.sets[0].effects) if both is not None and both.decided and both.significant else None
     if model is None or found.poses is None or found.observations is None:

@@ -36,7 +36,8 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
     for at in dict.fromkeys(group.location for group in full.random):
         found_in = sum(shows(part, at, own) for part in parts)
-        spread = size_spread(full.random, parts) if again.of_halves else 0.0
+        # At all locations each size has the spread of its kind; of a few groups there are no kinds.
+        spread = size_spread(full.random, parts) if again.of_halves and not full.everywhere else 0.0
         out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
     keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
     ratios = {key: relative_sizes(full.random, parts, key) for key in keys}
@@ -132,8 +133,8 @@ def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
 
 
 def pooled_ratio(stated: Parameters, spreads: Mapping[str, np.ndarray]) -> float:
-    """Root mean square, over all sizes of an effect, of what halves differ by relative to what is stated, no less than 1: two values alone
-    may agree by chance. Lines of a joint are pooled by ``output.orders``.
+    """Difference between halves over the stated one, root mean square over all sizes of an effect; at least 1, since two values may agree
+    by chance. Lines of a joint are pooled by ``output.orders``.
     """
     if any(name.endswith(ORDERS) for name in spreads):
         return 1.0

@@ -20,8 +20,8 @@ TYPICAL = 5e-5  # rad: 50 um at a metre, as brakes and belts leave
 
 
 def candidates(context: Context) -> list[Candidate]:
-    """For each joint, what it is off by after a pause, at the beginning of a visit, or fading with the time since a pause; in its own
-    direction, or to the side to which the weight pulls. Coefficients in rad.
+    """For each joint its error after a pause, at the beginning of a visit, or fading with the time since a pause. It is in a direction of
+    its own, or to the side to which the weight pulls. Coefficients in rad.
     """
     histories = [*_by_time(context), *_by_visit(context)]
     if not histories:

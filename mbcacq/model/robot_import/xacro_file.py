@@ -95,7 +95,7 @@ def _found_by(finder: _Packages) -> Iterator[None]:
 
 
 class _Packages:
-    """Folders of packages: named ones, those above the file and beside them, those that ROS has in its environment."""
+    """Folders of packages: named ones, those above the file with their neighbours, and those in the environment of ROS."""
 
     def __init__(self, path: Path, named: Mapping[str, Path]) -> None:
         self._path, self._named = path.resolve(), named
@@ -127,7 +127,7 @@ class _Packages:
         return next((f for f in near if f.name == package), None) or next((f for f in beside if f.is_dir()), None) or next(alike, None)
 
     def _around(self) -> Iterator[tuple[str, Path]]:
-        """Packages by name, the nearest last: what stands in the folders above the outermost package, then what is above the file."""
+        """Packages by name. The nearest come last: first those in the folders above the outermost package, then those above the file."""
         above = [f for f in self._path.parents if (f / PACKAGE).is_file()]
         if above:
             outermost = above[-1].parent
