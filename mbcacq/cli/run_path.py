@@ -42,7 +42,7 @@ def judge_first(result: Path) -> tuple[str, str]:
     its result with effects, or a result.json."""
     run = folder_of(result)
     if run is None:
-        return "write down first what the result holds, parameter by parameter", command_line("export", result, "--results", "results")
+        return "judge it first by further poses", command_line("verify", result, "OTHER")
     return "see first how far the result is to be trusted, and where", command_line("report", run)
 
 
