@@ -57,7 +57,9 @@ class ProfileSource(Protocol):
     def stop(self) -> None: ...
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        """The profiles of the next data set, copied; None if it has none. Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
+        """The profiles of the next data set, copied; None if it has none, or the session is closed.
+
+        Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
         ...
 
 

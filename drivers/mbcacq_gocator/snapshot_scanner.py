@@ -112,8 +112,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         Raises ConfigError (it streams profiles), DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted
         (``stop`` was called).
         """
-        if not self._wanted:
-            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        self._refuse_unconnected()
         if self._mode == "profile":
             raise ConfigError(f"scanner '{self.name}' streams profiles; use a step 'sweep', or another mode in its options")
         with self._one_capture:
@@ -136,10 +135,15 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def start_profiles(self) -> None:
         if self._mode != "profile":
             raise ConfigError(f"scanner '{self.name}' takes {self._mode} scans; say mode: profile in its options")
+        self._refuse_unconnected()
         with named(self.name):
             session = self._connect()
             self._watch(session)
             self._stream = ProfileStream(session, self._timeout_s, -np.inf if self._stream is None else self._stream.latest_s)
+
+    def _refuse_unconnected(self) -> None:
+        if not self._wanted:
+            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
 
     def profiles(self) -> Profiles:
         if self._stream is None:
