@@ -80,7 +80,7 @@ class ProfileStream:
         self._thread.start()
 
     def end(self) -> None:
-        """Stop the sensor and wait for what is under way. Raises as ``GocatorSession.stop``."""
+        """Stop the sensor and wait for what is under way. Raises as ``stop`` of the session, and what ended the stream before."""
         try:
             if self._thread.is_alive():
                 self._session.stop()
@@ -88,6 +88,8 @@ class ProfileStream:
             self._seen = time.monotonic()
             self._ending.set()
             self._thread.join(self._timeout_s)
+        if self._error is not None:
+            raise self._error
 
     def taken(self) -> Profiles:
         """All since the last call. Raises what ended the stream, once nothing else is left."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -17,6 +19,7 @@ from mbcacq.devices import (
     DeviceTimeout,
     Fact,
     IdentityError,
+    MbcacqError,
     Profiles,
     ProtocolError,
     Scan,
@@ -136,7 +139,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         if self._mode != "profile":
             raise ConfigError(f"scanner '{self.name}' takes {self._mode} scans; say mode: profile in its options")
         self._refuse_unconnected()
-        with named(self.name):
+        with self._streaming():
             session = self._connect()
             self._watch(session)
             self._stream = ProfileStream(session, self._timeout_s, -np.inf if self._stream is None else self._stream.latest_s)
@@ -148,13 +151,23 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def profiles(self) -> Profiles:
         if self._stream is None:
             raise ConfigError(f"scanner '{self.name}' takes no profiles; call start_profiles first")
-        with named(self.name):
+        with self._streaming():
             return self._stream.taken()
 
     def end_profiles(self) -> None:
         if self._stream is not None:
-            with named(self.name):
+            with self._streaming():
                 self._stream.end()
+
+    @contextmanager
+    def _streaming(self) -> Iterator[None]:
+        """After an error the next stream has a new connection: nobody knows what is still under way on this one."""
+        try:
+            with named(self.name):
+                yield
+        except MbcacqError:
+            self._drop()
+            raise
 
     def _connect(self) -> S:
         if self._session is not None and self._session.has_ended:
