@@ -39,7 +39,8 @@ LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
 CELLS = 40
 POWER_TEXT = """
 Strength at which nine in ten effects are named at their location, over the strength that a likelihood-ratio test (level 1 %) needs. The \
-test knows name and place and estimates the rest. Last: the ratio that the best search needs which knows nothing and has 2 % false alarms.
+test knows name and place and estimates the rest. Last column: the ratio for an ideal search \
+without that knowledge, at 2 % false alarms.
 """
 FALSE_ALARMS = 0.02  # of the best search
 

@@ -179,7 +179,7 @@ def sizes_page(records: list[dict]) -> str:
         "",
         f"`python benchmarks/detection.py sizes`: a sample of {len(records)} simulated cells. False alarms: an effect, or another verdict",
         "than `none` and `cannot_tell`, where nothing was injected (limits of Clopper and Pearson).",
-        f"With one effect ({effects}) right is that effect and no other.",
+        f"With one effect ({effects}) right means that effect and no other.",
         f"Another effect was reported in {missed}. The verdict is `none` for {len(unseen)} with an effect; the exclusion limits of",
         f"{possible} of them leave room for it. {known}",
         "",

@@ -113,13 +113,13 @@ class Gocator(SnapshotScanner[GocatorSession]):
     def _expose(self, session: GocatorSession) -> Scan:
         scans = [self._exposed(session, exposure_us) for exposure_us in self.options.exposures_us or (self._exposure_us,)]
         scan = scans[0] if len(scans) == 1 else best(scans) if self.options.bracket == "best" else merged(scans)
-        news, self._warnings = tuple(self._warnings), []
+        news, self._warnings = (*self._warnings, *(text for one in scans for text in one.warnings)), []
         return replace(scan, warnings=news)
 
     def _exposed(self, session: GocatorSession, exposure_us: float | None) -> Scan:
         """A sensor above the stop limit is not exposed at all. Warnings found before an exposure that fails come with the next scan."""
         self._watch(session)
-        scan = expose(session, exposure_us)
+        scan = self._confirmed(session, lambda: expose(session, exposure_us))
         self._watch(session)
         return scan
 

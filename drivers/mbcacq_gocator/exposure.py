@@ -79,6 +79,7 @@ def _scan(session: GocatorSession, data: DataSet, stamp: Stamp, message: ArrayMe
     grey, wanted_us = scan_intensity(data.arrays, message), session.configuration.exposure_us
     reported_us = message.attributes.get("exposure", 0) / 1000  # ns
     session.exposure = exposure_reported(reported_us, wanted_us)
+    session.geometry = tuple(value for name, value in message.attributes.items() if name != "exposure")
     surface = surface_points(message)
     return Scan(
         points=surface.points,

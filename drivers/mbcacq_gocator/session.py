@@ -47,6 +47,7 @@ class GocatorSession:
         self.configuration: Configuration | None = None
         self.alignment: Alignment | None = None
         self.running, self.exposure = False, "as set"
+        self.geometry: tuple[object, ...] = ()
         self._settings = threading.Lock()
 
     def open(self) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -30,12 +31,17 @@ from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 FINEST_US = 0.51  # a sensor may keep whole microseconds
 RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
+_EXPOSURES = 3  # of one scan, until two lay their points out alike
 
 
 class Session(ProfileSource, Protocol):
-    """A connection to a sensor, with what has been agreed over it. exposure: see ``exposure_reported``."""
+    """A connection to a sensor, with what has been agreed over it.
+
+    exposure: see ``exposure_reported``. geometry: scale, offset and size of the last scan, as its message says them.
+    """
 
     exposure: str
+    geometry: tuple[object, ...]
 
     def job(self) -> str:
         """Name of the job that is loaded now."""
@@ -70,6 +76,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         self._session: S | None = None
         self._wanted = False
         self._facts: tuple[Fact, ...] = ()
+        self._geometry: tuple[object, ...] | None = None
 
     @abstractmethod
     def _opened(self) -> S:
@@ -90,7 +97,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def connect(self) -> None:
         """Raises ConnectError, IdentityError, ConfigError (job, exposure, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
         self._cancel.clear()
-        self._wanted = True
+        self._wanted, self._geometry = True, None
         try:
             self._connect()
         except BaseException:
@@ -134,6 +141,24 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
                 if self._cancel.is_set() and isinstance(error, ConnectError):
                     raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
                 raise
+
+    def _confirmed(self, session: S, expose: Callable[[], Scan]) -> Scan:
+        """A scan whose geometry is that of the one before, or of a second exposure.
+
+        No checksum guards a message, and one wrong bit of a scale or an offset moves the whole cloud. They are settings of the job. A
+        sensor that has others in every scan is believed, with a warning.
+        """
+        known = [self._geometry]
+        for _ in range(_EXPOSURES):
+            scan = expose()
+            if session.geometry in known:
+                break
+            known.append(session.geometry)
+        if self._geometry not in (None, session.geometry):
+            text = f"scale, offset or size of the scans changed from {self._geometry} to {session.geometry}"
+            scan = replace(scan, warnings=(*scan.warnings, text))
+        self._geometry = session.geometry
+        return scan
 
     def start_profiles(self) -> None:
         if self._mode != "profile":

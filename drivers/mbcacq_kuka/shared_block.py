@@ -39,8 +39,8 @@ class _Block(shared_memory.SharedMemory):
 
 
 def allocated(size: int, name: str | None = None) -> shared_memory.SharedMemory:
-    """A new block whose memory is there. Linux only promises it at creation, and ends a process by SIGBUS that writes where none is left;
-    other systems allocate at creation. Raises OSError."""
+    """A new block whose memory is there. At creation Linux only reserves it, and a write where none is left ends the process by SIGBUS.
+    Other systems allocate at creation. Raises OSError."""
     memory = _Block(name=name, create=True, size=size)
     file = FILES / memory.name.lstrip("/")
     try:

@@ -143,7 +143,7 @@ class OpcUaLink:
         self._check(found)
         started = await client.get_node(STARTED).read_value()
         if not isinstance(started, datetime):
-            raise ProtocolError(f"{self._place} does not say when it was started; is the OPC UA server of this controller up to date?")
+            raise ProtocolError(f"{self._place} does not say when it was started; is its OPC UA server up to date?")
         if (self._started or started) != started:
             raise DeviceFault(f"{self._place}: the server was started again, and its clock with it; resume the run")
         if self.robot is not None and self.robot.about != found.about:
@@ -184,7 +184,7 @@ class OpcUaLink:
         *angles, clock = [None if value.Value is None else value.Value.Value for value in values]
         numbers = [float(a) for a in angles if isinstance(a, int | float)]
         if not isinstance(clock, datetime) or len(numbers) < len(angles):
-            raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")
+            raise ProtocolError(f"{self._place} sends angles or a time that are no numbers; is its OPC UA server up to date?")
         assert self._started is not None, "it was found before it is read"
         self._heard = time.monotonic()
         for name, found in zip(robot.watched, watched, strict=False):

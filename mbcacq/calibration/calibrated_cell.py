@@ -23,7 +23,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json, sealed_text, unsealed
 from mbcacq.model.observations import Observations
 
@@ -177,6 +178,11 @@ class CalibratedCell(CellEstimate):
             Format 'mbcacq-result/1'.
         """
         return dict(self.extra) if self.own_fit is None else {**fields_as_json(self.file), **self.extra}
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names of the axes."""
+        return tuple(axis_of_tag(name.rpartition("_")[2]) for name in self.layout.blocks[0].names[:: len(PARAMETERS)])
 
     @property
     def file(self) -> ResultFile:

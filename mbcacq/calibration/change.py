@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.estimation import terms
@@ -36,6 +37,7 @@ NOTABLE = 0.05  # probability of a change
 NEGLIGIBLE = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
 REJECTED_OF_BALL = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
 LEAST_SIDE = 3  # poses on either side of a moment
+IN_A_ROW = 2  # rejected poses from which on they are no gross errors, each by itself
 MOST_POSES = 4000  # whose columns fit into memory
 SAME_MOMENT = 3.0  # of the log Bayes factor: moments that are this near are said as a range
 OTHER_KIND = 3.0  # of the same: kinds that are this near are said too
@@ -91,7 +93,7 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
     obs = fitted.lineariser.obs
     if obs.n_poses > MOST_POSES or obs.n_poses < 2 * LEAST_SIDE:
         return ChangeEvidence()
-    at = _with_balls_again(fitted.solution.evaluated())
+    at = _with_rejected_again(fitted.solution.evaluated())
     kinds = list(kinds_of_change(at))
     look = _look(at, kinds)
     log_e = look.log_e
@@ -107,14 +109,18 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
     return ChangeEvidence(log_e, found, _second_moment(look, kinds))
 
 
-def _with_balls_again(at: Solution) -> Solution:
-    """With the centres of balls of which many are rejected: a ball that moved by much is rejected from then on."""
+def _with_rejected_again(at: Solution) -> Solution:
+    """With the centres of balls of which many are rejected, and with poses that are rejected one after the other: a ball that moved by much
+    is rejected from then on, and after a large accident so is what is left of the recording."""
     obs, weights = at.lineariser.obs, at.weights
     count, n = (np.bincount(obs.ball, w, minlength=len(obs.cell.ball_ids)) for w in (weights.centre == 0, None))
     often = (count > REJECTED_OF_BALL * n) & (n - count >= LEAST_SIDE)
-    if not often.any():
+    in_a_row = np.zeros(obs.n_poses, bool)
+    in_a_row[obs.measuring_order] = binary_opening(weights.pose[obs.measuring_order] == 0, np.ones(IN_A_ROW))
+    if not (often.any() or in_a_row.any()):
         return at
-    return at.reweighted(at.noise, replace(weights, centre=np.where(often[obs.ball], 1.0, weights.centre)))
+    centre, pose = np.where(often[obs.ball], 1.0, weights.centre), np.where(in_a_row, 1.0, weights.pose)
+    return at.reweighted(at.noise, replace(weights, centre=centre, pose=pose))
 
 
 def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
@@ -137,7 +143,7 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
         scale[:, :3, 0] = 1e-6 * obs.xyz
         yield KindOfChange("scale", "", ("scale",), ("ppm",), scale, every, 0.05)
     for j in range(n):
-        yield KindOfChange("joint", str(j + 1), (f"A{j + 1}",), ("rad",), unit("joint", j, 1), every, 0.25 / n)
+        yield KindOfChange("joint", obs.cell.robot.tags[j], (obs.cell.robot.axes[j],), ("rad",), unit("joint", j, 1), every, 0.25 / n)
     station = unit("station", 0, 6)
     order = obs.station[obs.measuring_order]
     for s in np.unique(obs.station):

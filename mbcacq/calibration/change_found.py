@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import AsJson
 from mbcacq.quantities import in_degrees
 
@@ -86,7 +87,7 @@ def in_words(kind: str, where: str) -> tuple[str, str]:
         "mount": ("the scanner's mount slipped", "fasten it and measure anew"),
         "scanner": ("the scanner's mount slipped, or the scanner's coordinates shifted,", "fasten it and measure anew"),
         "scale": ("the scale of the scanner's coordinates changed", "look at its settings and its temperature, and measure anew"),
-        "joint": (f"the zero of joint A{where} stepped", "check its mastering"),
+        "joint": (f"the zero of joint {axis_of_tag(where)} stepped", "check its mastering"),
         "station": (f"the place of the artefact at station {where} changed", "measure that station anew"),
         "ball": (f"ball {where} moved on its artefact", "look at the artefact, and measure anew"),
     }[kind]

@@ -119,16 +119,16 @@ def _flange(o: Observations) -> Iterator[Misreading]:
 
 
 def _axes(o: Observations) -> Iterator[Misreading]:
-    n = o.cell.robot.n
+    n, axes = o.cell.robot.n, o.cell.robot.axes
     for j, one in enumerate(np.eye(n)):
-        yield Misreading(f"A{j + 1} reversed", "sign", lambda o, one=one: _angles(o, np.eye(n) - 2 * np.diag(one)))
+        yield Misreading(f"{axes[j]} reversed", "sign", lambda o, one=one: _angles(o, np.eye(n) - 2 * np.diag(one)))
         for turn, angle in QUARTERS:
-            yield Misreading(f"{turn} added to A{j + 1}", "offset", lambda o, one=one, angle=angle: replace(o, q=o.q + angle * one))
+            yield Misreading(f"{turn} added to {axes[j]}", "offset", lambda o, one=one, angle=angle: replace(o, q=o.q + angle * one))
     yield Misreading("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
-        yield Misreading(f"the columns of A{i + 1} and A{j + 1} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
+        yield Misreading(f"the columns of {axes[i]} and {axes[j]} exchanged", "order", lambda o, p=order: replace(o, q=o.q[:, p]))
     yield Misreading("the columns of the axes in reverse order", "order", lambda o: replace(o, q=o.q[:, ::-1]))
     for shift, word in ((1, "left"), (-1, "right")):
         what = f"the columns of the axes shifted by one to the {word}"

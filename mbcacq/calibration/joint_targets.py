@@ -62,7 +62,7 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
     error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
     reached = (error_mm < REACHED_MM) & (error_rad < REACHED_RAD)
     at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)
-    reasons = tuple("" if ok else _reason(ends) for ok, ends in zip(reached, at_limit, strict=True))
+    reasons = tuple("" if ok else _reason(cell, ends) for ok, ends in zip(reached, at_limit, strict=True))
     return JointTargets(best, error_mm, error_rad, reached, reasons)
 
 
@@ -72,6 +72,7 @@ def error_twist(T: np.ndarray, goals: np.ndarray) -> np.ndarray:
     return np.concatenate([apart[:, :3, 3], se3.rotation_log(apart[:, :3, :3])], axis=1)
 
 
-def _reason(at_limit: np.ndarray) -> str:
-    stopped = ", ".join(f"A{i + 1}" for i in np.flatnonzero(at_limit))
+def _reason(cell: CalibratedCell, at_limit: np.ndarray) -> str:
+    axes = cell.axes
+    stopped = ", ".join(axes[i] for i in np.flatnonzero(at_limit))
     return f"{stopped} stands at its limit" if stopped else "out of reach, or in a singular posture"

@@ -82,7 +82,7 @@ def differing_terms(model: EffectModel, obs: Observations, cell: CalibratedCell)
     lost = (
         Term(name, (Part("joint", j, 0, 2.0 * there[:, None]),), (name,), ("rad",), np.array([LOST_MOTION_RAD]))
         for j, there in reversed_joints(obs, cell).items()
-        for name in (f"other side of A{j + 1}",)
+        for name in (f"other side of {obs.cell.robot.axes[j]}",)
     )
     return (*learnt, *lost)
 

@@ -50,7 +50,7 @@ class SensorClock:
         return t + self.delay_s + self.drift * self.since(t)
 
     def since(self, t: np.ndarray) -> np.ndarray:
-        """Time (P,) s after the epoch; parts of a recording that are set apart by ``PART_S`` have one clock all the same."""
+        """Time (P,) s after the epoch; the parts of a recording share one clock, although ``PART_S`` sets their times apart."""
         return t - self.epoch_s - PART_S * np.rint((t - self.epoch_s) / PART_S)
 
 

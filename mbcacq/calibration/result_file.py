@@ -22,7 +22,7 @@ from mbcacq.estimation.scan_scale import ScanScale, scale_in_words, scan_scale
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
-from mbcacq.model.cell import Measurement, RobotModel
+from mbcacq.model.cell import Measurement, RobotModel, counted_axes
 from mbcacq.model.json_text import EveryKey, Limits, Matrix, RowsOfTransform, Transform, Vector, as_list, as_rows, damaged, from_document
 
 FORMAT = "mbcacq-result/1"
@@ -54,6 +54,11 @@ class RobotInResult(EveryKey):
     nominal: Annotated[Rows, Field(description="MD-H rows by parameter, over the axes: theta, alpha, beta rad; d, a mm")]
     calibrated: Rows
     errors: Annotated[Rows, Field(description="calibrated minus nominal")]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n,) names of the axes."""
+        return self.axes or counted_axes(len(self.sign))
 
     @classmethod
     def of(cls, robot: RobotModel, calibrated: Chain) -> Self:

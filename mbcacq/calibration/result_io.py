@@ -25,13 +25,17 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.files.atomic_write import finish_set
 from mbcacq.geometry import se3
-from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.cell import SIMULATED, Cell
+from mbcacq.model.cell import SIMULATED, Cell, counted_axes, link_parameters
 from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import damage, damaged, read_json, unsealed
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
+
+
+def axes_of(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """(n,) names of the axes of the arm of a result.json."""
+    return tuple(result["robot"].get("axes") or counted_axes(len(result["robot"]["sign"])))
 
 
 def of_flange_poses(result: Mapping[str, Any]) -> bool:
@@ -78,7 +82,7 @@ def layout_of(file: ResultFile, source: str = THE_RESULT) -> ParameterLayout:
     """
     free, reported = set(file.names), {p.name: p for p in file.parameters}
     groups = {
-        "chain": [f"{p}_{i + 1}" for i in range(len(file.robot.sign)) for p in PARAMETERS],
+        "chain": list(link_parameters(file.robot.names)),
         "hand_eye": [f"hand_eye.{c}" for c in parameters.HAND_EYE],
         "balls": [f"ball_{b.id}.{c}" for b in file.balls for c in "xyz"],
     }
@@ -231,7 +235,7 @@ def without_prior(result: Mapping[str, Any]) -> OwnEstimate:
     """
     names, C = tuple(map(str, result["names"])), np.array(result["covariance"], dtype=float)
     T = np.array(result["T_flange_scanner"], dtype=float)
-    arm = {f"{p}_{i + 1}" for p in PARAMETERS for i in range(len(result["robot"]["sign"]))}
+    arm = set(link_parameters(axes_of(result)))
     error = {p["name"]: float(p["error"]) for p in result["parameters"]}
     links = [p for p in result["parameters"] if p["name"] in arm and p["status"] == "prior"]
     if any(p.get("prior_std") is None for p in links) or not links:

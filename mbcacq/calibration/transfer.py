@@ -80,12 +80,12 @@ class Transfer(AsJson):
         what is tried.
     robust : TransferFigures or None
         ``with_effects`` without gross centres, which neither the geometry alone nor the effects predict; None if there are none. All
-        other figures are of every centre: what is tested does not choose by what.
+        other figures include every centre: a tested cell must not select its own test.
     robust_centres : int
         The number of centres that are not gross.
     inside, outside : TransferFigures or None
-        ``with_effects`` of the centres at which every covariate of the effects is as it was where they were learnt, and of the others;
-        None if all centres are one of both.
+        ``with_effects`` of the centres whose covariates are all within the ranges in which the effects were learnt, and of the others; None
+        if all centres are of one kind.
     inside_centres : int
         The number of the former.
     """
@@ -247,7 +247,7 @@ def reversed_loads(obs: Observations, cell: CalibratedCell) -> tuple[str, ...]:
     found = reversed_joints(obs, cell)
     if not found:
         return ()
-    names, largest = ", ".join(f"A{j + 1}" for j in found), max(float(there.mean()) for there in found.values())
+    names, largest = ", ".join(obs.cell.robot.axes[j] for j in found), max(float(there.mean()) for there in found.values())
     return (
         f"gravity turns {names} the other way at up to {largest:.0%} of the poses, and hardly ever did where the arm was learnt: backlash "
         "and lost motion of their gears do not show there; the uncertainty stated here contains the lost motion of a typical gear",

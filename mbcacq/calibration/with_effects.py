@@ -15,8 +15,10 @@ from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import JOINTS
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
+from mbcacq.effects.learnt_range import own_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
@@ -159,15 +161,14 @@ def with_pattern(obs: Observations, unmodelled: EffectModel, pattern: CommonPatt
 
 def own_joint(t: EffectTerm) -> int | None:
     """The joint of which a group is the own error, by its own angle; None for another group."""
-    if t.name != UNKNOWN or t.variant or len(t.where) != 1 or t.depends_on != f"q{t.where[0][1:]}" or t.where[0][0] != "A":
+    if t.name != UNKNOWN or t.variant or len(t.where) != 1 or t.depends_on != own_angle(t.where[0]) or t.parts[0].place != "joint":
         return None
     return joint_of(t)
 
 
 def joint_of(t: EffectTerm) -> int:
     """The index of the joint at which an effect acts; -1 for another location."""
-    place = t.where[0]
-    return int(place[1:]) - 1 if place[0] == "A" and place[1:].isdigit() else -1
+    return t.parts[0].index if t.where[0].startswith(JOINTS) else -1
 
 
 def _beside(alone: CalibratedCell, fitted: CalibratedCell) -> CalibratedCell:
@@ -257,7 +258,7 @@ def some_poses(obs: Observations, most: int) -> np.ndarray:
 @dataclass(frozen=True)
 class _Stage:
     """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, those that the
-    fit has beside them, then one for each group; scale: (G,) size of each group in its prior size.
+    fit has beside them, then one for each group; scale: (G,) size of each group in units of its prior size.
     """
 
     fitted: CalibratedCell
@@ -360,8 +361,8 @@ class _Stage:
 
 
 def group_scales(S: np.ndarray, b: np.ndarray, several: Sequence[EffectTerm], start: np.ndarray, smallest: float) -> np.ndarray:
-    """(G,) size of each group in its prior size, zero where it is below the smallest. S (k, k), b (k,): normal equations of the groups
-    without their priors, all else eliminated.
+    """(G,) size of each group in units of its prior size, zero where it is below the smallest. S (k, k), b (k,): normal equations of the
+    groups without their priors, all else eliminated.
     """
     sigma = np.concatenate([g.sigma for g in several])
     fixed = np.array([given_size(g) for g in several])

@@ -61,7 +61,7 @@ def command(
     if (images is None) == (device is None):
         raise ConfigError("give the images' --images FOLDER, or the camera's --device NUMBER")
     if said.poses is not None and follow is not None:
-        raise ConfigError("poses are those of --poses or of --follow; give one of both")
+        raise ConfigError("poses are those of --poses or of --follow; give one of the two")
     if said.poses is None and follow is None and flange is None:
         raise ConfigError("--flange CONVENTION is missing: how the poses that you type write their orientation, such as kuka, ur or abb")
     refuse_existing(out, force, f"{out} exists; give another --out, or --force to write into it")

@@ -51,7 +51,7 @@ def program(
         written = write(files, out, replace)
     return Answer(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},
-        [*map(str, written), "nobody has run this program: first in T1 or at reduced speed, a hand on the enabling switch"],
+        [*map(str, written), "nobody has run this program: first in the slow manual mode (T1, TEACH), a hand on the enabling switch"],
         (
             f"read {out / 'README.txt'}, save the clouds of the scanner in a folder 'clouds'",
             command_line("collect", plan, "--clouds", "clouds"),

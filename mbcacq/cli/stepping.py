@@ -16,7 +16,7 @@ class KeyPause:
     def __init__(self) -> None:
         """Raises ConfigError if nobody can press a key."""
         if not is_interactive():
-            raise ConfigError("--step waits for a key before each pose, but standard input is not a terminal; leave it out or use one")
+            raise ConfigError("--step waits for a key before each pose, but standard input is not a terminal; use one, or leave --step out")
         self._stopped, self._free = threading.Event(), False
 
     def wait(self, pose: PlannedPose, n_poses: int) -> None:

@@ -8,9 +8,11 @@ import numpy as np
 from rich.table import Table
 
 from mbcacq.calibration.clock_term import clock_sentence
-from mbcacq.calibration.result_io import ONE_VIEW, noise_of_a_view, of_flange_poses
+from mbcacq.calibration.result_io import ONE_VIEW, axes_of, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
 from mbcacq.geometry import se3
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.model.cell import link_parameters
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import (
     K,
@@ -36,11 +38,12 @@ def parameters(result: dict[str, Any]) -> Table:
     """Identified MD-H errors with expanded uncertainties, one row a link, as the paper's Table 1."""
     rows = {p["name"]: p for p in result["parameters"]}
     table = Table(title=f"{result['robot']['name']}: MD-H errors, ± U (k = 2)", title_justify="left")
-    table.add_column("link")
+    table.add_column("axis")
     for name in ("θ / °", "d / mm", "a / mm", "α / °", "β / °"):
         table.add_column(name, justify="right")
-    for i in range(len(result["robot"]["sign"])):
-        table.add_row(str(i + 1), *(_cell(rows.get(f"{p}_{i + 1}")) for p in ("theta", "d", "a", "alpha", "beta")))
+    axes, names = axes_of(result), iter(link_parameters(axes_of(result)))
+    for axis in axes:
+        table.add_row(axis, *(_cell(rows.get(next(names))) for _ in PARAMETERS))
     return table
 
 
@@ -78,7 +81,7 @@ def day_to_day(joint: dict[str, Any]) -> list[str]:
 
 def arm_parameters(result: dict[str, Any]) -> set[str]:
     """Names of the MD-H parameters."""
-    return {f"{p}_{i + 1}" for p in ("theta", "d", "a", "alpha", "beta") for i in range(len(result["robot"]["sign"]))}
+    return set(link_parameters(axes_of(result)))
 
 
 def identifies_arm(result: dict[str, Any]) -> bool:

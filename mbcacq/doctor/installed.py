@@ -42,7 +42,7 @@ def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
             "warning",
             "hardware",
             f"not yet tried on hardware: {', '.join(untried)}",
-            "first run in T1, with --step and a hand on the enabling switch",
+            "first run in the slow manual mode (T1, TEACH), with --step and a hand on the enabling switch",
         )
 
 

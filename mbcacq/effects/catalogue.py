@@ -161,7 +161,7 @@ def _slides(candidate: Candidate, context: Context) -> bool:
     """Whether a candidate displaces a prismatic joint, or is a function of one's position as if it were an angle."""
     parts = candidate.parts(None if candidate.hyper is None else float(candidate.hyper.values[0]))
     slides = context.state.chain.sliding
-    angles = {f"{kind}{j + 1}" for j in slides for kind in ("q", "movement_")}
+    angles = {f"{kind}{context.tags[j]}" for j in slides for kind in ("q", "movement_")}
     return any((p.place == "joint" and p.index in slides) or p.covariates & angles for p in parts) if slides else False
 
 

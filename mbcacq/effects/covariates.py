@@ -72,10 +72,10 @@ TILT = "tilt"  # of the artefact against the scanner's axis, by which what depen
 AXIS = ("axis_x", "axis_y", "axis_z")  # of the artefact (its z), in the scanner's axes, where the geometry was fitted
 UNSTATED = (RECORDING, *AXIS)  # no other recording has them
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
-_NAME = re.compile(r"^([a-z_]+?)_?([0-9]+)?(?:_(mass|x|y|z))?$")  # kind, number of a joint or frame, component
+_NAME = re.compile(r"^([a-z_]+?)_?(E?[0-9]+)?(?:_(mass|x|y|z))?$")  # kind, number of a joint or frame, component
 LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves behind fades
 FAR = 1e3  # rad of travel, beyond any over which something fades
-_ALONG = re.compile(r"^gravity_along_([0-9]+)_([0-9]+)_([0-9]+)$")
+_ALONG = re.compile(r"^gravity_along_(E?[0-9]+)_([0-9]+)_([0-9]+)$")
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,26 @@ class Covariates:
         """The number of joints."""
         return self.obs.cell.robot.n
 
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names of the joints."""
+        return self.obs.cell.robot.axes
+
+    @cached_property
+    def tags(self) -> tuple[str, ...]:
+        """(n,) what stands for each joint in the name of a covariate."""
+        return self.obs.cell.robot.tags
+
+    @cached_property
+    def frames(self) -> tuple[str, ...]:
+        """(n + 1,) names of the base and of the frames behind the joints."""
+        return self.obs.cell.robot.frames
+
+    @cached_property
+    def frame_tags(self) -> tuple[str, ...]:
+        """(n + 1,) the same of each frame: '0' is the base, others are called after the joint before them."""
+        return ("0", *self.tags)
+
     @property
     def scanner_on_flange(self) -> bool:
         """False for an external instrument that measures a target on the flange."""
@@ -100,7 +120,7 @@ class Covariates:
 
     def position(self, joint: int) -> str:
         """The covariate that is a joint's own position: q1 .. an angle (rad), s1 .. of a prismatic joint (mm)."""
-        return f"{'s' if joint in self.obs.cell.robot.chain.sliding else 'q'}{joint + 1}"
+        return f"{'s' if joint in self.obs.cell.robot.chain.sliding else 'q'}{self.tags[joint]}"
 
     @cached_property
     def masses_known(self) -> bool:
@@ -285,13 +305,13 @@ class Covariates:
 
     @cached_property
     def computed_once(self) -> ComputedOnce:
-        """What was computed of the recording: a hundred groups are functions of one covariate."""
+        """A cache of functions of the recording: a hundred groups may need the same covariate."""
         return ComputedOnce()
 
     def _value(self, name: str) -> np.ndarray:
         match = _NAME.match(name)
         kind, number, component = match.groups() if match else ("", None, None)
-        i, c = int(number or 0), "xyz".find(component or "-")
+        i, c = self.frame_tags.index(number) if number in self.frame_tags else 0, "xyz".find(component or "-")
         found: np.ndarray | None = None
         if name in self.obs.temperatures:
             found = np.asarray(self.obs.temperatures[name], dtype=float)
@@ -301,17 +321,17 @@ class Covariates:
             found = self._of_pose(kind)
         elif number is None:
             found = self._of_axis(kind, c)
-        elif component is None and 1 <= i <= self.n:
+        elif component is None and i:
             values = self._of_joints(kind)
             found = None if values is None else np.nan_to_num(np.asarray(values[:, i - 1], dtype=float))
-        elif kind == "payload_torque" and 1 <= i <= self.n:
+        elif kind == "payload_torque" and i:
             found = self.payload_torque[:, i - 1, c + 1]
-        elif kind in ("gravity_moment", "gravity_direction") and i <= self.n:
+        elif kind in ("gravity_moment", "gravity_direction") and number in self.frame_tags:
             found = (self.gravity_moment if kind == "gravity_moment" else self.gravity_direction)(i)[:, c]
-        if (match := _ALONG.match(name)) and int(match[1]) <= self.n:
+        if (match := _ALONG.match(name)) and match[1] in self.frame_tags:
             azimuth, elevation = from_degrees([float(match[2]), float(match[3])])
             along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-            found = self.gravity_direction(int(match[1])) @ along
+            found = self.gravity_direction(self.frame_tags.index(match[1])) @ along
         if found is None:
             raise Missing(f"no {name} recorded")
         return found

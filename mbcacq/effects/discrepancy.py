@@ -75,9 +75,9 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
         if j < here.obs.cell.robot.chain.floor:
             found += _bearing(here, j)
         if j in loaded:
-            found += _by_torque(here, j, f"gravity_torque_{j + 1}")
+            found += _by_torque(here, j, f"gravity_torque_{here.tags[j]}")
         if torque is not None and j in _loaded(torque):
-            found += _by_torque(here, j, f"tau{j + 1}")
+            found += _by_torque(here, j, f"tau{here.tags[j]}")
         found += _by_arrival(here, j)
     return found
 
@@ -90,7 +90,7 @@ def gear_stages(here: Covariates) -> list[EffectTerm]:
 def mesh(here: Covariates, j: int, order: float) -> EffectTerm:
     """The group of joint j by one order of its own angle, and by the derivative of that by the order, which is not exactly known. It has
     many periods in the visited angles, and goes on beyond them."""
-    name = f"q{j + 1}"
+    name = f"q{here.tags[j]}"
     once = sine(name, order), cosine(name, order)
     columns = (*once, *(times(_centred(here, name), column) for column in once))
     sigma = OPTIONS.mesh_rad * np.repeat([1.0, OPTIONS.order_sigma], 2)
@@ -103,9 +103,9 @@ def couplings(here: Covariates) -> list[EffectTerm]:
     out = []
     for j in moving:
         others = [i for i in moving if i != j]
-        columns = tuple(_centred(here, f"q{i + 1}") for i in others)
+        columns = tuple(_centred(here, f"q{here.tags[i]}") for i in others)
         if columns:
-            out.append(_term(here, j, "+".join(f"q{i + 1}" for i in others), columns, np.full(len(columns), OPTIONS.start_rad)))
+            out.append(_term(here, j, "+".join(f"q{here.tags[i]}" for i in others), columns, np.full(len(columns), OPTIONS.start_rad)))
     return out
 
 
@@ -114,9 +114,9 @@ def pairs(here: Covariates) -> list[EffectTerm]:
     moving = _turning(here)
     out = []
     for a, b in combinations(moving, 2):
-        columns = tuple(times(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
+        columns = tuple(times(x, y) for x in _first(f"q{here.tags[a]}") for y in _first(f"q{here.tags[b]}"))
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
-        out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
+        out += [_term(here, j, f"q{here.tags[a]}*q{here.tags[b]}", columns, sigma) for j in moving]
     return out
 
 
@@ -127,12 +127,12 @@ def structure(here: Covariates) -> list[EffectTerm]:
     for i in range(n):
         turned = [
             (3 + c, linear(name, 1 / largest))
-            for c, name in enumerate(f"gravity_moment_{i}_{axis}" for axis in "xy")
+            for c, name in enumerate(f"gravity_moment_{here.frame_tags[i]}_{axis}" for axis in "xy")
             if (largest := float(np.abs(here.value(name)).max())) > OPTIONS.least_moment
         ]
         if turned:
-            out.append(_frame(here, "base" if i == 0 else f"link{i}", i, f"gravity_moment_{i}", turned))
-    along = [f"gravity_direction_{n}_{axis}" for axis in "xyz"]
+            out.append(_frame(here, here.frames[i], i, f"gravity_moment_{here.frame_tags[i]}", turned))
+    along = [f"gravity_direction_{here.tags[-1]}_{axis}" for axis in "xyz"]
     sides: list[tuple[str, list[Column]]] = [("gravity_direction", [linear(name) for name in along])]
     sides += [(name, [(Product(1.0, (Function(name, "sign", ()),)),)]) for name in along if np.ptp(np.sign(here.value(name))) > 0]
     out += [_frame(here, "mount", n, on, [(c, f) for c in range(6) for f in functions]) for on, functions in sides]
@@ -183,7 +183,9 @@ def _behind(here: Covariates, j: int, columns: Sequence[Column], share: np.ndarr
         parts = [DescribedPart("frame", j + 1, first + c, (*zero[: c * f], *columns, *zero[(c + 1) * f :])) for c in range(3)]
         name, variant = here.position(j), f"{SMOOTH} {unit}"
         sigma = size * np.tile(share, 3)
-        out.append(EffectTerm.of_group(here, (f"link{j + 1}",), name, parts, sigma, (unit,) * len(sigma), variant=variant, clamped=(name,)))
+        out.append(
+            EffectTerm.of_group(here, (here.frames[j + 1],), name, parts, sigma, (unit,) * len(sigma), variant=variant, clamped=(name,))
+        )
     return out
 
 
@@ -203,7 +205,7 @@ def _recorded(here: Covariates, kind: str) -> np.ndarray | None:
 def _by_own_angle(here: Covariates, j: int, orders: Iterable[int]) -> list[EffectTerm]:
     """One group for each number of periods a turn: a wheel has one, and a size for all would spread over the others. Outside of the angles
     that were visited they fade (``EffectTerm.fades``)."""
-    name = f"q{j + 1}"
+    name = f"q{here.tags[j]}"
     return [_term(here, j, name, (sine(name, k), cosine(name, k)), np.full(2, OPTIONS.start_rad / k), f"order {k}") for k in orders]
 
 
@@ -259,4 +261,4 @@ def _term(
     """One joint by functions; sigma in rad."""
     parts, slides = (DescribedPart("joint", j, 0, tuple(columns)),), j in here.obs.cell.robot.chain.sliding
     sigma, units = sigma * (OPTIONS.mm_per_rad if slides else 1.0), ("mm" if slides else "rad",) * len(columns)
-    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, units, variant=variant, **fields)
+    return EffectTerm.of_group(here, (here.axes[j],), depends_on, parts, sigma, units, variant=variant, **fields)

@@ -26,7 +26,8 @@ ORDER = "order"  # periods a turn of the angle that the effect depends on
 BREAKPOINT = "breakpoint"  # value of a covariate at which something changes
 FADING = "fading"  # time constant of something that fades
 
-ON_THE_ARM = ("A", "link", "base")  # how the locations begin that several recordings of one arm share
+JOINTS = ("A", "E")  # how the names of joints begin
+ON_THE_ARM = (*JOINTS, "link", "base")  # how the locations begin that several recordings of one arm share
 
 
 class Missing(Exception):

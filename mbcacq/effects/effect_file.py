@@ -17,17 +17,17 @@ from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.effects.functions import COMPONENTS, FUNCTIONS, DescribedPart, Function
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import Measurement, RobotModel
+from mbcacq.model.cell import Measurement, RobotModel, counted_axes, tags_of
 from mbcacq.model.json_text import EveryKey, Limits, Number, RowsOfTransform, as_rows, damaged, from_document
 
 FORMAT = "mbcacq-effect-model/1"
 CURE = "make the model of effects anew with mbcacq diagnose"
 
-_LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
+_LOCATION = re.compile(r"^(?:A|link|(?=E))(E?[0-9]+)$")
 _OF_JOINT = re.compile(
-    r"^(?:q|s|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
+    r"^(?:q|s|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)(E?[0-9]+)(?:_(?:mass|x|y|z))?$"
 )
-_OF_FRAME = re.compile(r"^gravity_(?:moment|direction|along)_([0-9]+)_(?:[xyz]|[0-9]+_[0-9]+)$")
+_OF_FRAME = re.compile(r"^gravity_(?:moment|direction|along)_(E?[0-9]+)_(?:[xyz]|[0-9]+_[0-9]+)$")
 Three = tuple[Number, Number, Number]
 
 
@@ -118,11 +118,12 @@ def check_effects(model: EffectModelFile, source: str, key: str = "") -> None:
     for name, values in {**of_axes, **{f"nominal.{p}": column for p, column in robot.nominal.items()}}.items():
         if len(values) != axes:
             raise _damaged(source, f"{within}robot.{name}", f"{len(values)} values for {axes} axes")
+    tags = tags_of(robot.axes or counted_axes(axes))
     for i, term in enumerate(model.terms):
-        _check_term(term, axes, source, f"{within}terms.{i}")
+        _check_term(term, tags, source, f"{within}terms.{i}")
 
 
-def _check_term(term: EffectTerm, axes: int, source: str, key: str) -> None:
+def _check_term(term: EffectTerm, tags: tuple[str, ...], source: str, key: str) -> None:
     k = len(term.names)
     for name in ("units", "coefficients", "std", "sigma", "typical"):
         if len(getattr(term, name)) != k:
@@ -132,15 +133,16 @@ def _check_term(term: EffectTerm, axes: int, source: str, key: str) -> None:
             raise _damaged(source, f"{key}.sigma.{j}", f"{s:g} is no standard deviation: it must be larger than zero, or null for none")
     for j, place in enumerate(term.where):
         found = _LOCATION.match(place)
-        if found and not 1 <= int(found[1]) <= axes:
-            raise _damaged(source, f"{key}.where.{j}", f"there is no {place} on an arm of {axes} axes")
+        if found and found[1] not in tags:
+            raise _damaged(source, f"{key}.where.{j}", f"there is no {place} on an arm of {len(tags)} axes")
     for j, part in enumerate(term.parts):
-        _check_part(part, k, axes, source, f"{key}.parts.{j}")
+        _check_part(part, k, tags, source, f"{key}.parts.{j}")
 
 
-def _check_part(part: DescribedPart, k: int, axes: int, source: str, key: str) -> None:
+def _check_part(part: DescribedPart, k: int, tags: tuple[str, ...], source: str, key: str) -> None:
     if part.place not in COMPONENTS:
         raise _damaged(source, f"{key}.place", f"'{part.place}' is none of {', '.join(COMPONENTS)}")
+    axes = len(tags)
     last = {"joint": axes - 1, "frame": axes}.get(part.place)  # the others have no index
     if last is not None and not 0 <= part.index <= last:
         raise _damaged(source, f"{key}.index", f"{part.index} is not within 0 to {last}, as a {part.place} of an arm of {axes} axes is")
@@ -151,14 +153,14 @@ def _check_part(part: DescribedPart, k: int, axes: int, source: str, key: str) -
     for c, column in enumerate(part.columns):
         for p, product in enumerate(column):
             for f, function in enumerate(product.functions):
-                _check_function(function, axes, source, f"{key}.columns.{c}.{p}.functions.{f}")
+                _check_function(function, tags, source, f"{key}.columns.{c}.{p}.functions.{f}")
 
 
-def _check_function(function: Function, axes: int, source: str, key: str) -> None:
-    for pattern, first in ((_OF_JOINT, 1), (_OF_FRAME, 0)):
+def _check_function(function: Function, tags: tuple[str, ...], source: str, key: str) -> None:
+    for pattern, known in ((_OF_JOINT, tags), (_OF_FRAME, ("0", *tags))):
         found = pattern.match(function.covariate)
-        if found and not first <= int(found[1]) <= axes:
-            raise _damaged(source, f"{key}.of", f"there is no {function.covariate} on an arm of {axes} axes")
+        if found and found[1] not in known:
+            raise _damaged(source, f"{key}.of", f"there is no {function.covariate} on an arm of {len(tags)} axes")
     kind = FUNCTIONS.get(function.kind)
     if kind is None:
         raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; if a newer mbcacq wrote it, update this one")

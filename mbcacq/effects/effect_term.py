@@ -14,7 +14,7 @@ from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.functions import OF_CENTRES, DescribedPart
-from mbcacq.effects.learnt_range import MOVEMENT, STANDSTILL, LearntRange, learnt_ranges
+from mbcacq.effects.learnt_range import MOVEMENT, STANDSTILL, LearntRange, learnt_ranges, own_angle
 from mbcacq.estimation.terms import PER_POSE, Part, Term, term
 from mbcacq.model.json_text import EveryKey, InJson, Number, Vector, as_list
 from mbcacq.model.observations import Observations
@@ -163,7 +163,7 @@ class EffectTerm(EveryKey):
         """Whether it turns one joint by sines and cosines of that joint's own angle, as a group of the joint's own orders does."""
         own = {("joint", p.index) for p in self.parts} if all(p.place == "joint" for p in self.parts) else set()
         kinds = {f.kind for p in self.parts for column in p.columns for product in column for f in product.functions}
-        return self.name != UNKNOWN and len(own) == 1 and kinds <= {"sin", "cos"} and self.covariates == {f"q{self.parts[0].index + 1}"}
+        return self.name != UNKNOWN and len(own) == 1 and kinds <= {"sin", "cos"} and self.covariates == {own_angle(self.where[0])}
 
     @property
     def bound_to_recording(self) -> bool:

@@ -122,6 +122,11 @@ def with_a_range(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(n for n in names if n not in (*OF_RECORDING, "ball") and not n.startswith((*STANDSTILL, TRAVEL))))
 
 
+def own_angle(axis: str) -> str:
+    """The covariate that is the angle of a joint, by the joint's name."""
+    return f"q{axis.removeprefix('A')}"
+
+
 def is_angle(name: str) -> bool:
     """Whether a covariate is the angle of a joint, so that a full turn leads to the same place."""
-    return name[:1] == "q" and name[1:].isdigit()
+    return name[:1] == "q" and name[1:].removeprefix("E").isdigit()

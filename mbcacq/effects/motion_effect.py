@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbcacq.model.cell import RobotModel
+from mbcacq.model.cell import RobotModel, tags_of
 from mbcacq.quantities import in_degrees
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
@@ -58,6 +58,7 @@ class ChannelGroup:
     base[run]: (T, J, b) columns with coefficients common to all joints, prior (b,) their sigma: inertial parameters.
     refit: an offset is a convention (zero of an encoder) and is estimated again in held-out data.
     signal[run]: (T, J) the recorded channel that is compared with the simulation at the times of q, and may be late; none for 'q_set'.
+    axes: (n,) names of all joints of the arm.
     """
 
     name: str
@@ -69,6 +70,12 @@ class ChannelGroup:
     prior: np.ndarray
     refit: bool
     signal: tuple[np.ndarray, ...] = ()
+    axes: tuple[str, ...] = ()
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """(n,) what stands for each joint in the name of a quantity."""
+        return tags_of(self.axes)
 
     @property
     def shown_unit(self) -> str:

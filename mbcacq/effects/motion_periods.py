@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
 from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, angle, number
+from mbcacq.effects.learnt_range import own_angle
 from mbcacq.effects.motion_effect import Columns, MotionRows, MotionSignals
 from mbcacq.quantities import DEGREE
 
@@ -30,17 +31,18 @@ class OrderRange:
 
 
 def periodic_component(
-    effect: tuple[str, PeriodicInMotion], joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
+    effect: tuple[str, PeriodicInMotion], joint: int, axis: str, order: float, spacing: float, trials: float, observed: tuple[float, float]
 ) -> Candidate:
-    """The candidate of one order. effect: its name, and how it is periodic; spacing: of the orders to try around it; trials: how many were
-    compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
+    """The candidate of one order of a joint, given by its index and its name. effect: its name, and how it is periodic; spacing: of the
+    orders to try around it; trials: how many were compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere
+    its phase is not known, and it is zero."""
     name, declared = effect
     return Candidate(
         name,
-        (f"A{joint + 1}",),
-        f"q{joint + 1}",
+        (axis,),
+        own_angle(axis),
         MotionRows((joint,), _columns(observed)),
-        _report(f"A{joint + 1}", declared.amplitude, declared.scale),
+        _report(axis, declared.amplitude, declared.scale),
         Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
         several=True,
         variant=f"{order:.4g}",

@@ -24,8 +24,8 @@ def moment(context: Context) -> Hyperparameter:
 
 
 def indistinguishable_moments(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
-    """Other moments that the centres seen (M,) bool cannot tell from this one: no pose of theirs lies between. Empty if there is none,
-    and for effects that have no moment.
+    """Other moments that the centres ``seen`` (M,) bool cannot distinguish from this one, because none of their poses lies between. Empty
+    for effects that have no moment.
     """
     if candidate.hyper is None or candidate.hyper.kind != MOMENT:
         return []

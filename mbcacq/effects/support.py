@@ -34,7 +34,7 @@ def joints_without_drive(candidate: Candidate, robot: RobotModel) -> str:
     permitted = declaration(candidate.name).drives
     if not permitted:
         return ""
-    stated = [robot.drive(int(at[1:]) - 1) for at in candidate.where if at[1:].isdigit()]
+    stated = [robot.drive(joint) for at in candidate.where if (joint := robot.axis(at)) is not None and joint not in robot.chain.sliding]
     wrong = [drive for drive in stated if drive not in permitted]
     if not wrong:
         return ""
@@ -48,7 +48,7 @@ def with_drives_for(robot: RobotModel, name: str, where: tuple[str, ...]) -> Rob
         return robot
     drives = [robot.drive(i) for i in range(robot.n)]
     for at in where:
-        drives[int(at[1:]) - 1] = permitted[0]
+        drives[robot.axes.index(at)] = permitted[0]
     return replace(robot, drives=tuple(drives))
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import JOINTS
 from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
 from mbcacq.effects.learnt_range import is_angle
@@ -75,13 +76,13 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
     n, torque = here.n, here.gravity_torque
     slides = here.obs.cell.robot.chain.sliding
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02 and i not in slides]
-    found = [group(here, f"A{i + 1}", f"q{i + 1}") for i in moving]
+    found = [group(here, here.axes[i], f"q{here.tags[i]}") for i in moving]
     if here.obs.movement is not None:
-        found += [group(here, f"A{i + 1}", f"movement_{i + 1}") for i in moving]
+        found += [group(here, here.axes[i], f"movement_{here.tags[i]}") for i in moving]
     loaded = [i for i in range(n) if np.ptp(torque[:, i]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9]
-    found += [group(here, f"A{i + 1}", f"gravity_torque_{i + 1}") for i in loaded]
-    found += [group(here, "base" if i == 0 else f"link{i}", f"gravity_torque_{max(i + 1, 2)}") for i in range(n)]
-    found += [group(here, f"link{i + 1}" if i + 1 < n else "mount", f"q{i + 1}") for i in moving]
+    found += [group(here, here.axes[i], f"gravity_torque_{here.tags[i]}") for i in loaded]
+    found += [group(here, here.frames[i], f"gravity_torque_{here.tags[max(i, 1)]}") for i in range(n)]
+    found += [group(here, here.frames[i + 1], f"q{here.tags[i]}") for i in moving]
     if not here.scanner_on_flange:
         found += [group(here, f"station{s.id}", "pose") for s in here.obs.cell.stations]
         found += [group(here, "target", "incidence")] if here.obs.rotation is not None else []
@@ -97,7 +98,7 @@ def carried(groups: Sequence[EffectTerm]) -> list[EffectTerm]:
     """The groups that are kept for other recordings: all but the frame behind a joint by its angle. Over a part of a turn that is what
     errors of the geometry are as well; the arm so learnt is worse elsewhere (transfer.md).
     """
-    return [g for g in groups if g.where[0].startswith("A") or not is_angle(g.depends_on)]
+    return [g for g in groups if g.where[0].startswith(JOINTS) or not is_angle(g.depends_on)]
 
 
 def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequence[int], joints: Sequence[int]) -> EffectTerm:
@@ -109,25 +110,25 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     orders = np.arange(1, OPTIONS.own_order + 1).astype(float)
     parts = []
     for i, o, d in zip(joints, offset, direction, strict=True):
-        name = f"q{i + 1}"
+        name = f"q{here.tags[i]}"
         # sin(k (d q - o)) = d cos(k o) sin(k q) - sin(k o) cos(k q), and cos(k (d q - o)) = cos(k o) cos(k q) + d sin(k o) sin(k q)
         sines = [_sum((d * np.cos(k * o) * d, sine(name, k)), (-np.sin(k * o) * d, cosine(name, k))) for k in orders]
         cosines = [_sum((np.cos(k * o) * d, cosine(name, k)), (d * np.sin(k * o) * d, sine(name, k))) for k in orders]
         parts.append(DescribedPart("joint", i, 0, (*sines, *cosines)))
-    where = tuple(f"A{i + 1}" for i in joints)
-    hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
-    hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
+    where = tuple(here.axes[i] for i in joints)
+    hyper = {f"offset_{here.axes[i]}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
+    hyper |= {f"direction_{here.axes[i]}": float(d) for i, d in zip(joints, direction, strict=True)}
     sigma = pattern_sigma()
     units = ("rad",) * len(sigma)
-    return EffectTerm.of_group(here, where, f"q{joints[0] + 1}", parts, sigma, units, variant=COMMON_PATTERN, hyper=hyper)
+    return EffectTerm.of_group(here, where, f"q{here.tags[joints[0]]}", parts, sigma, units, variant=COMMON_PATTERN, hyper=hyper)
 
 
 def deviation(here: Covariates, joint: int) -> EffectTerm:
     """What a joint's own error differs from a common pattern by."""
-    orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
+    orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{here.tags[joint]}"
     part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
     sigma = deviation_sigma()
-    return EffectTerm.of_group(here, (f"A{joint + 1}",), name, [part], sigma, ("rad",) * len(sigma), variant=DEVIATION)
+    return EffectTerm.of_group(here, (here.axes[joint],), name, [part], sigma, ("rad",) * len(sigma), variant=DEVIATION)
 
 
 def pattern_sigma() -> np.ndarray:
@@ -149,19 +150,17 @@ def open_deviation_sigma() -> np.ndarray:
 
 def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
     """(place, index, component) of what may move at a location."""
-    n = here.n
-    if location[:1] == "A" and location[1:].isdigit() and int(location[1:]) <= n:
-        return [("joint", int(location[1:]) - 1, 0)]
+    if location in here.axes:
+        return [("joint", here.axes.index(location), 0)]
     stations = here.obs.cell.stations
     if len(stations) == 1 and location == f"station{stations[0].id}":  # of several, slow drifts are in their places
         return [("station", 0, c) for c in range(6)]
     if location == "target":
         return [("orientation", 0, c) for c in range(3)] if here.obs.rotation is not None else []
-    frames = {"base": 0, "mount": n} | {f"link{i}": i for i in range(1, n)}
-    if location in frames:
+    if location in here.frames:
         orientation = here.scanner_on_flange or here.obs.shows_target_orientation
         components = range(6) if location != "mount" or orientation else range(3)
-        return [("frame", frames[location], c) for c in components]
+        return [("frame", here.frames.index(location), c) for c in components]
     return []
 
 
@@ -174,8 +173,8 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[Sequenc
     if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
         return [], np.zeros(0)
     if is_angle(covariate):
-        own = location == f"A{covariate[1:]}"
-        behind = location in (f"link{covariate[1:]}", "mount" if covariate == f"q{here.n}" else "")
+        joint = here.tags.index(covariate[1:])
+        own, behind = location == here.axes[joint], location == here.frames[joint + 1]
         other = OPTIONS.bearing_order if behind else OPTIONS.other_order
         highest = OPTIONS.few_order if here.obs.n_poses < OPTIONS.many_poses else OPTIONS.own_order if own else other
         orders = np.arange(1, highest + 1).astype(float)
@@ -193,14 +192,14 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
     """A joint by the torque about it, a link, base or mount by the moment of the weight behind it."""
     place, index, _ = keys[0]
     if place == "joint":
-        own = f"gravity_torque_{index + 1}"
+        own = f"gravity_torque_{here.tags[index]}"
         parts = [DescribedPart("joint", index, 0, (linear(own),))]
         return EffectTerm.of_group(
             here, (location,), covariate, parts, np.array([OPTIONS.compliance_rad_per_Nm]), (GIVES_WAY,), clamped=(own,)
         )
     if place != "frame" or len(keys) < 6:
         return None
-    names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]
+    names = [f"gravity_moment_{here.frame_tags[index]}_{axis}" for axis in "xyz"]
     size = max(float(np.abs(here.gravity_moment(index)).max()), 1e-12)
     used = [c for c in range(3) if np.abs(here.value(names[c])).max() > 1e-6 * size]
     if not used:  # nothing with a mass is behind it

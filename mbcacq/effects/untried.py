@@ -1,7 +1,7 @@
 """What the catalogue leaves out for a recording although the cell may have it: a name among the few that were tried may be wrong.
 
 An error of a gear is claimed to be periodic only where the joint travels far enough, and weight is known only where masses are. An effect
-that is left out for such a reason acts all the same. It stands as a smooth function at its location, so that no effect that was tried is
+that is left out for such a reason may still act. It stands as a smooth function at its location, so that no effect that was tried is
 named with confidence where such a function does as well.
 """
 
@@ -66,13 +66,13 @@ def _weights(context: Context) -> list[UntriedEffect]:
         spread = np.ptp(torque[:, i])
         if spread < VARIES * np.ptp(torque, axis=0).max() + 1e-9:
             continue  # a vertical axis feels no weight
-        names = [f"gravity_torque_{i + 1}", *(f"payload_torque_{i + 1}_{c}" for c in ("mass", "x", "y", "z"))]
+        names = [f"gravity_torque_{context.tags[i]}", *(f"payload_torque_{context.tags[i]}_{c}" for c in ("mass", "x", "y", "z"))]
         spreads = [float(np.ptp(context.value(name))) for name in names]
         columns = tuple(linear(name, 1.0 / s) for name, s in zip(names, spreads, strict=True) if s > 1e-9)
         described = [DescribedPart("joint", i, 0, columns)]
         reason = "no masses of the links are given"
-        where = (f"A{i + 1}",)
-        candidate = _unnamed(where, f"gravity_torque_{i + 1}", described, np.full(len(columns), 5e-5), "unknown masses")
+        where = (context.axes[i],)
+        candidate = _unnamed(where, f"gravity_torque_{context.tags[i]}", described, np.full(len(columns), 5e-5), "unknown masses")
         out.append(UntriedEffect(candidate, "joint_compliance", reason))
     return out
 

@@ -82,7 +82,7 @@ class Lineariser:
         self.ball = self._in_slots(number, self.free_balls)
 
     def weighted(self, rows: np.ndarray) -> np.ndarray:
-        """Rows (M, R) or (M, R, k) with the covariances that the measurements state taken out; as they are where none does."""
+        """Rows (M, R) or (M, R, k), whitened by the covariances that measurements state; unchanged without such covariances."""
         if self.own_weight is None:
             return rows
         return np.einsum("mij,mj->mi", self.own_weight, rows) if rows.ndim == 2 else self.own_weight @ rows

@@ -70,7 +70,7 @@ class Normal:
         return out
 
     def with_prior(self, prior: Prior, before: Prior) -> Normal:
-        """The same with another prior of the parameters in the place of the one before; that of the stations stays."""
+        """The same with another prior of the parameters; that of the stations stays."""
         out = copy(self)
         out.information = self.information + np.diag(prior.sigma**-2.0 - before.sigma**-2.0)
         out.gradient = self.gradient + before.offset / before.sigma**2 - prior.offset / prior.sigma**2

@@ -17,8 +17,8 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import ArmPrior, CalibrationOptions
 from mbcacq.estimation.terms import Term
 from mbcacq.geometry import se3
-from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import TARGET_IN_BASE, Cell
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.model.cell import TARGET_IN_BASE, Cell, RobotModel, link_parameters
 from mbcacq.model.observations import Observations
 
 HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
@@ -165,14 +165,14 @@ def build(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
 
 def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     chain, n = cell.robot.chain, cell.robot.n
-    names = tuple(f"{p}_{i + 1}" for i in range(n) for p in PARAMETERS)
+    names = link_parameters(cell.robot.axes)
     why: dict[str, str] = {}
     uncertain = not options.kinematics and options.discrepancy and not cell.robot.of_flange_poses  # those have no links of their own
     if not options.kinematics and not uncertain:
         why = dict.fromkeys(names, "kinematics not asked for")
     else:
         redundant = chain.redundant(base_known=any(s.T_base_station is not None for s in cell.stations))
-        why = {f"{PARAMETERS[k]}_{i + 1}": _acts_like(chain, i, PARAMETERS[k]) for i, k in np.argwhere(redundant).tolist()}
+        why = {names[len(PARAMETERS) * i + k]: _acts_like(cell.robot, i, PARAMETERS[k]) for i, k in np.argwhere(redundant).tolist()}
         for name in options.release:
             why.pop(name, None)
     free = np.array([name not in why for name in names])
@@ -197,14 +197,15 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     )
 
 
-def _acts_like(chain: Chain, i: int, parameter: str) -> str:
+def _acts_like(robot: RobotModel, i: int, parameter: str) -> str:
     """Why a parameter of row i is redundant."""
+    chain, axes = robot.chain, robot.axes
     if i == chain.n - 1:
         return "acts like the hand-eye transform"
     if i == 0 and parameter in ("theta", "d"):
         return "moves the base together with the stations"
     if parameter == "d" and chain.parallel_next()[i]:
-        return f"acts like d_{i + 2}: axes {i + 1} and {i + 2} are parallel"
+        return f"acts like d_{robot.tags[i + 1]}: axes {axes[i]} and {axes[i + 1]} are parallel"
     if parameter == "beta":
         return "acts like its neighbours, except between parallel axes"
     return "acts like others: of a prismatic joint the direction alone matters"

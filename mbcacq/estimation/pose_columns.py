@@ -31,9 +31,8 @@ class PoseColumns:
     """A linearised problem, pose by pose in the order of ``PoseRows``.
 
     basis: (P, B R, u) derivative of a pose's rows by its twist. twists: (P, u, f) of the first f parameters; station: (P, u, 6) of the
-    pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R). by_rows: whether
-    the first columns of the basis are the rows themselves, so that any column is a twist. wide: which of the twists are made of few
-    directions and many functions.
+    pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R). by_rows: the
+    first columns of the basis are the rows themselves, so that any column is a twist. wide: twists of few directions and many functions.
     """
 
     basis: np.ndarray

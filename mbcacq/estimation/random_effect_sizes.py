@@ -149,8 +149,8 @@ def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray])
 
 
 def without_prior(normal: Normal, prior: Prior, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information (g, g) and right-hand side (g,) without the prior, about zero, of the parameters at index (k,): for their coefficients
-    themselves, and for the change of all others.
+    """Information (g, g) and right-hand side (g,) without the prior of the parameters at index (k,). The unknowns are the coefficients
+    of these, from zero, and the change of all others.
     """
     now, weight = np.zeros(normal.size), np.zeros(normal.size)
     now[index], weight[index] = prior.offset[index], prior.sigma[index] ** -2.0

@@ -22,6 +22,7 @@ from mbcacq.files.template import filled
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
+from mbcacq.model.cell import RobotModel
 from mbcacq.model.robot_import.mjcf import PLACEHOLDER_MASS
 
 TEMPLATE = Path(__file__).parent / "mjcf.xml.j2"
@@ -60,14 +61,14 @@ def expressed_effects(effects: EffectModel) -> ExpressedEffects:
     robot = effects.robot
     out = ExpressedEffects((float(np.mean(robot.payload_mass)), np.asarray(robot.payload_com, float)))
     for term in effects.terms:
-        if not _express(term, out, bool(robot.mass.any()), robot.limits):
+        if not _express(term, out, robot):
             out.left.append(f"{term.name} at {'+'.join(term.where)}")
     return out
 
 
-def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool, limits: np.ndarray) -> bool:
-    """Whether a term could be entered. weighed: the masses of the links are known, without which nothing winds up. limits: (n, 2) rad of
-    the joints, within which a tied hinge is proportional to an angle: an effect that ends where it was learnt is none.
+def _express(term: EffectTerm, out: ExpressedEffects, robot: RobotModel) -> bool:
+    """Whether a term could be entered. Without masses of the links nothing winds up. A tied hinge is proportional to an angle within the
+    limits of the joints: an effect that ends where it was learnt is none.
     """
     c = term.coefficients
     causes = {(p.place, p.index, p.component): _cause(p.columns[0]) for p in term.parts if len(p.columns) == 1}
@@ -78,13 +79,13 @@ def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool, limits: np.
     if len(causes) != len(term.parts) or len(c) != 1:
         return False
     (place, axis, _), cause = next(iter(causes.items()))
-    single, winds_up = place == "joint" and len(causes) == 1, weighed and float(c[0]) > 0
+    single, winds_up = place == "joint" and len(causes) == 1, robot.mass.any() and float(c[0]) > 0
     if causes == {("frame", 0, 3 + k): f"gravity_moment_0_{'xyz'[k]}" for k in range(3)} and winds_up:
         out.base += float(c[0])
-    elif single and cause == f"gravity_torque_{axis + 1}" and winds_up:
+    elif single and cause == f"gravity_torque_{robot.tags[axis]}" and winds_up:
         out.compliance[axis] = out.compliance.get(axis, 0.0) + float(c[0])
-    elif single and cause is not None and is_angle(cause) and _holds_at(term, cause, limits[int(cause[1:]) - 1]):
-        key = axis, int(cause[1:]) - 1
+    elif single and cause is not None and is_angle(cause) and _holds_at(term, cause, robot.limits[robot.tags.index(cause[1:])]):
+        key = axis, robot.tags.index(cause[1:])
         out.ratio[key] = out.ratio.get(key, 0.0) + float(c[0])
     else:
         return False

@@ -18,6 +18,7 @@ from mbcacq.fleet.control_chart import ArmType, arm_types
 from mbcacq.fleet.row import FleetRow
 from mbcacq.fleet.store import read_table
 from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.model.cell import counted_axes, link_parameters
 
 FEWEST_ARMS = 5  # the variance of the predictive distribution is finite from four arms on
 ROUNDS, SETTLED = 500, 1e-4  # of the EM iteration; relative change of a standard deviation
@@ -36,7 +37,7 @@ def read_priors(fleet: Path | str) -> tuple[ArmPrior, ...]:
 def learnt(kind: ArmType) -> ArmPrior | None:
     """The prior of one type of arm; None if there are too few."""
     nominal = np.array(kind.rows[0].nominal).reshape(-1, len(PARAMETERS))
-    names = [f"{p}_{i + 1}" for i in range(len(nominal)) for p in PARAMETERS]
+    names = link_parameters(kind.rows[0].axes or counted_axes(len(nominal)))
     arms: dict[str, list[FleetRow]] = {}
     for row in kind.rows:
         arms.setdefault(row.arm, []).append(row)

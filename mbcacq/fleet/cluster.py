@@ -128,7 +128,7 @@ def _next(left: deque[Stamped], workers: int) -> list[Stamped]:
 
 
 def _ended(batch: Sequence[Stamped], store: FleetStore, result: Any) -> list[StoredResult]:
-    """The kept rows of a batch whose task ended with an error, and a failed row for the recording at which it did, the first without one.
+    """The kept rows of a batch whose task ended with an error, and a failed row for the first recording without one, at which it ended.
 
     result: the error, or its type, itself and where it was raised. Raises RecordingError, which says that nothing can be stored.
     """

@@ -90,7 +90,9 @@ def _take_calibration(row: FleetRow, result: Mapping[str, Any]) -> None:
     row.nominal = tuple(value for joint in zip(*result["robot"]["nominal"].values(), strict=True) for value in joint)
     row.rms_mm, row.chi2_dof, row.expected_accuracy_mm = fit["rms_mm"], fit["chi2_dof"], fit["expected_accuracy_mm"]
     row.spacing_max_mm, row.spacing_mean_mm = after.get("max_mm"), after.get("mean_mm")
-    row.scanner_noise_mm, row.joint_noise_rad = max(noise["scanner_mm"]), max(noise["joint_rad"])
+    slides, row.axes = result["robot"].get("sliding", ()), tuple(result["robot"].get("axes", ()))
+    row.scanner_noise_mm = max(noise["scanner_mm"])
+    row.joint_noise_rad = max((v for i, v in enumerate(noise["joint_rad"]) if i not in slides), default=None)
     row.rejected, row.names = len(result["rejected"]), tuple(result["names"])
     row.covariance = tuple(value for line in result["covariance"] for value in line)
     row.estimates = {

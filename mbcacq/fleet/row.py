@@ -35,6 +35,8 @@ class FleetRow:
         Names of all free parameters, in the order of the covariance (rows one after the other).
     nominal : tuple[Figure, ...]
         MD-H rows of the nominal arm one after the other.
+    axes : tuple[str, ...]
+        Names of its axes; empty: A1 ..
     effects : tuple[str, ...] or None
         Effects that were found, as 'NAME at WHERE'.
     out_of_control : tuple[str, ...] or None
@@ -69,6 +71,7 @@ class FleetRow:
     out_of_control: tuple[str, ...] | None = None
     names: tuple[str, ...] = ()
     nominal: tuple[Figure, ...] = ()
+    axes: tuple[str, ...] = ()
     covariance: tuple[Figure, ...] = ()
 
     @classmethod
@@ -116,7 +119,7 @@ def estimates_of(rows: Sequence[FleetRow], name: str) -> tuple[np.ndarray, np.nd
 
 
 def arrow_schema(rows: Sequence[FleetRow]) -> Any:
-    """The columns of rows with their types, the same whatever the recordings have, but for their parameters."""
+    """The columns of rows with their types. Only those of parameters depend on the recordings."""
     import pyarrow as pa
 
     kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "float": pa.float64()}

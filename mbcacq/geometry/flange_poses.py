@@ -1,6 +1,6 @@
 """Poses of the flange in place of joint angles, as an arm of six coordinates: three displacements and a rotation vector.
 
-An arm of which only ``T_base_flange`` is known has no links to identify; its hand-eye transform is found all the same. The poses that a
+An arm of which only ``T_base_flange`` is known has no links to identify; its hand-eye transform can still be found. The poses that a
 controller reports repeat, and are off, along and about the axes of the base: these six take the place of the joints in the noise.
 """
 

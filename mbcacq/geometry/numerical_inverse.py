@@ -200,7 +200,7 @@ class NumericalInverse:
         return np.einsum("pij,pi->pj", J, np.linalg.solve(normal, error[..., None])[..., 0])
 
     def _merged(self, known: np.ndarray, more: np.ndarray) -> np.ndarray:
-        """The known positions and those of the others that are none of them already."""
+        """The known positions, and those of the others that differ from all of them."""
         nearest = self.options.same_posture if self.chain.n > 6 else self.options.same_branch
         for q in more:
             away = q - known

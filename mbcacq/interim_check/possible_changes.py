@@ -85,7 +85,7 @@ def joint_columns(state: CellState, prediction: Prediction) -> np.ndarray:
 def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     J = joint_columns(state, prediction)
     usual = np.array([OPTIONS.mastering])
-    axes = [(f"A{j + 1}", rows_of(J[:, :, j : j + 1] * usual)) for j in range(state.chain.n)]
+    axes = [(obs.cell.robot.axes[j], rows_of(J[:, :, j : j + 1] * usual)) for j in range(state.chain.n)]
     return [PossibleChange("mastering", axis, (f"{axis} zero",), ("rad",), usual, columns) for axis, columns in axes]
 
 
@@ -126,7 +126,9 @@ def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[
     at = [PARAMETERS.index(p) for p in chosen]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
     each = [rows_of(prediction.by_twists(twists[:, i, at]) * usual) for i in range(state.chain.n)]
-    return [PossibleChange("link", f"link {i}", chosen, units, usual, columns) for i, columns in enumerate(each, 1)]
+    return [
+        PossibleChange("link", f"link {tag}", chosen, units, usual, columns) for tag, columns in zip(obs.cell.robot.tags, each, strict=True)
+    ]
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
@@ -163,11 +165,11 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     if not context.masses_known:
         return []
     J = joint_columns(context.state, prediction)
-    bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
+    bent = np.stack([context.value(f"payload_torque_{tag}_mass") for tag in context.tags], axis=1)
     usual = OPTIONS.tool_kg * OPTIONS.elastic
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
     shown = np.abs(columns).max(axis=0) > LEAST
-    parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
+    parameters = tuple(context.axes[i] for i in np.flatnonzero(shown))
     count = len(parameters)
     return [PossibleChange("tool", "its weight", parameters, ("",) * count, np.full(count, usual), columns[:, shown])]
 

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from mbcacq.files.mesh_file import Mesh
-from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.quantities import in_degrees
 
@@ -75,7 +75,21 @@ class RobotModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """(n,) names of the axes."""
-        return self.names or tuple(f"A{i + 1}" for i in range(self.n))
+        return self.names or counted_axes(self.n)
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """(n,) what stands for an axis in the name of a quantity: '1' of A1, 'E1' of E1."""
+        return tags_of(self.axes)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """(n + 1,) names of the base, and of the frame behind each axis."""
+        return ("base", *(f"link{tag}" for tag in self.tags[:-1]), "mount")
+
+    def axis(self, name: str) -> int | None:
+        """The index of an axis by its name; None for another name."""
+        return self.axes.index(name) if name in self.axes else None
 
     @property
     def external(self) -> int:
@@ -102,6 +116,26 @@ class RobotModel:
     def of_flange_poses(self) -> bool:
         """Whether only the poses of the flange are known, no joints and no links."""
         return isinstance(self.chain, FlangePoses)
+
+
+def counted_axes(n: int) -> tuple[str, ...]:
+    """A1 to An: the names of axes that nothing else names."""
+    return tuple(axis_of_tag(str(i + 1)) for i in range(n))
+
+
+def tags_of(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """What stands for each axis in the name of a quantity."""
+    return tuple(axis.removeprefix("A") for axis in axes)
+
+
+def axis_of_tag(tag: str) -> str:
+    """The axis by what stands for it in a name: A1 of '1'."""
+    return f"A{tag}" if tag.isdigit() else tag
+
+
+def link_parameters(axes: tuple[str, ...]) -> tuple[str, ...]:
+    """(5 n,) names of the MD-H parameters, row by row: theta_1 of A1, theta_E1 of E1."""
+    return tuple(f"{p}_{tag}" for tag in tags_of(axes) for p in PARAMETERS)
 
 
 def arm_of_flange_poses(name: str, repeatability_mm: float | None = None, coordinates: np.ndarray | None = None) -> RobotModel:

@@ -299,7 +299,7 @@ class ArtefactSpec(Strict):
     @model_validator(mode="after")
     def _has_centres(self) -> ArtefactSpec:
         if bool(self.balls) == bool(self.mesh or self.box_mm):
-            raise ValueError("an artefact has balls; a part has a mesh or a box_mm instead of them; give one of both")
+            raise ValueError("an artefact has balls; a part has a mesh or a box_mm instead of them; give one of the two")
         if self.box_mm and not all(low < high for low, high in zip(*self.box_mm, strict=True)):
             raise ValueError("box_mm: each number of the first corner must be below that of the second; exchange those that are not")
         missing = [b.id for b in self.balls if b.centre_mm is None]

@@ -12,7 +12,7 @@ from mbcacq.model.cell import Cell, RobotModel
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.quantities import from_degrees
 
-LEAST_TRAVEL = 1e-4  # rad: an axis that moves less has limits all the same
+LEAST_TRAVEL = 1e-4  # rad: an axis that moves less keeps its limits
 T1_MM_S = 250.0  # a controller's reduced speed, ISO 10218-1
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from mbcacq.model.cell import axis_of_tag
 from mbcacq.report.content import Content, ParameterRow
 
 MDH = {"theta": "θ / °", "d": "d / mm", "a": "a / mm", "alpha": "α / °", "beta": "β / °"}
-_KINEMATIC = re.compile(r"(theta|d|a|alpha|beta)_(\d+)")
+_KINEMATIC = re.compile(r"(theta|d|a|alpha|beta)_(E?\d+)")
 _BALL = re.compile(r"ball_(.+)\.([xyz])")
 
 
@@ -26,7 +27,7 @@ class Matrix:
 
 def matrices(content: Content) -> list[Matrix]:
     """Kinematic errors by axis, as in the literature, and ball corrections by ball."""
-    kinematic = _table(content.parameters, _KINEMATIC, lambda m: (m.group(2), m.group(1)), list(MDH))
+    kinematic = _table(content.parameters, _KINEMATIC, lambda m: (axis_of_tag(m.group(2)), m.group(1)), list(MDH))
     balls = _table([p for p in content.parameters if p.held is None], _BALL, lambda m: (m.group(1), m.group(2)), list("xyz"))
     out = []
     if any(p is not None and p.held is None for _, cells in kinematic for p in cells):

@@ -32,7 +32,7 @@ class ModelParameter:
     p_value : Number
         The p-value of the block's difference from the model as it was given.
     named : bool
-        Whether the diagnosis named it; otherwise the residual that it left asked for it.
+        Whether the diagnosis named it; otherwise it was added because of the residual.
     """
 
     name: str

@@ -116,13 +116,13 @@ def _block_of(effect: EffectFound, arm: MujocoArm, fit: RollOutFit, found: Motio
         delay = _value(effect, "latency_s")
         block = parameters.sensor_delay(arm, effect.where[0])
         return replace(block, first=np.clip(np.array([delay]), block.lower, block.upper))
-    axis = int(effect.where[0][1:]) - 1
+    axis = arm.robot.axes.index(effect.where[0])
     torque, speed = _reached(fit)
     if kind == "gear":
-        added = _value(effect, f"A{axis + 1}.compliance_rad_per_Nm")
+        added = _value(effect, f"{effect.where[0]}.compliance_rad_per_Nm")
         return parameters.gear(arm, arm.joints[axis], added, torque[axis])
     block = parameters.friction(arm, arm.joints[axis], torque[axis], speed[axis])
-    names = (f"A{axis + 1}.{name}" for name in ("coulomb_Nm", "viscous_Nms_per_rad"))
+    names = (f"{effect.where[0]}.{name}" for name in ("coulomb_Nm", "viscous_Nms_per_rad"))
     added = [_value(effect, name) if name in effect.parameters else 0.0 for name in names]
     return replace(block, first=np.clip(block.start + added, block.lower, block.upper))
 

@@ -94,7 +94,7 @@ def load_arm(path: Path | str) -> MujocoArm:
         model = spec.compile()
     except (ValueError, OSError) as error:
         raise ConfigError(f"{path}: MuJoCo cannot read it: {str(error).splitlines()[0]}; correct the file") from None
-    missing = [f"A{k + 1}" for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
+    missing = [robot.axes[k] for k, name in enumerate(imported.joints) if not name or spec.joint(name) is None]
     if missing:
         raise ConfigError(f"{path}: the joint of {missing[0]} is without a name; name all joints of the arm")
     _resolve_frames(spec, model, imported.joints)
@@ -108,8 +108,8 @@ def base_body(arm: MujocoArm, model: Any) -> int:
 
 
 def _resolve_frames(spec: Any, model: Any, joints: tuple[str, ...]) -> None:
-    """Place the arm's bodies and hinges in their bodies themselves, as MuJoCo compiles them, where the file has <frame> around them. Values
-    that are written later into a place or an axis are then not moved once more."""
+    """Place the arm's bodies and hinges in their bodies themselves, as MuJoCo compiles them, where the file has <frame> around them. The
+    compiler then does not move values that are written into a place or an axis later."""
     bodies = [spec.joint(name).parent for name in joints]
     placed = [(body, body.id) for body in bodies if body.frame is not None]  # the first change takes all numbers away
     turning = [(hinge, hinge.id) for body in bodies for hinge in body.joints if hinge.frame is not None]
@@ -170,8 +170,8 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
                 span = f"{in_degrees(least):.1f} to {in_degrees(most):.1f}°"
                 limits = f"{in_degrees(low):.1f} to {in_degrees(high):.1f}"
                 raise ConfigError(
-                    f"{where}: A{k + 1} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the order "
-                    "of the joints, or their zeros and directions differ: correct the recording or the model"
+                    f"{where}: {arm.robot.axes[k]} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the "
+                    "order of the joints, or their zeros and directions differ: correct the recording or the model"
                 )
 
 

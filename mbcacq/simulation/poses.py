@@ -69,7 +69,7 @@ def write_into_model(arm: MujocoArm, found: CalibratedCell, effects: Sequence[Ef
         _add_payload(arm, spec, robot)
     changed = _moved_bodies(arm, spec)
     for term in () if found.effects is None else found.effects.terms:
-        joint = arm.joints[int(term.where[0][1:]) - 1]
+        joint = arm.joints[term.parts[0].index]
         old = gear_spring(arm.spec, joint)
         before = 0.0 if old is None else 1.0 / float(np.atleast_1d(old.stiffness)[0])
         total, std = before + float(term.coefficients[0]), float(term.std[0])

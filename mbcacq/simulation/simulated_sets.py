@@ -60,9 +60,10 @@ def _same_poses(recorded: Observations, simulated: Observations) -> np.ndarray:
     if not same.any():
         k = int(distance.min(axis=1).argmin())
         axis = int(np.abs(recorded.q[k] - simulated.q[best[k]]).argmax())
+        name = recorded.cell.robot.axes[axis]
         one, other = (float(in_degrees(v)) for v in (recorded.q[k, axis], simulated.q[best[k], axis]))
         raise ConfigError(
-            f"no simulated pose has the joint angles of a recorded one: at the nearest, A{axis + 1} was recorded at {one:.3f}° and "
+            f"no simulated pose has the joint angles of a recorded one: at the nearest, {name} was recorded at {one:.3f}° and "
             f"simulated at {other:.3f}{_unit_hint(recorded.q, simulated.q)}; simulate the recorded poses"
         )
     return np.where(same, best, -1)
@@ -104,7 +105,7 @@ def trajectory_against(recorded: Trajectory, simulated: Trajectory) -> Trajector
     if apart.max() > SAME_MOTION_RAD:
         axis = int(apart.argmax())
         raise ConfigError(
-            f"{where}: A{axis + 1} is up to {in_degrees(apart[axis]):.1f}° from the simulated motion"
+            f"{where}: {recorded.robot.axes[axis]} is up to {in_degrees(apart[axis]):.1f}° from the simulated motion"
             f"{_unit_hint(recorded.q, simulated.q)}; simulate the recorded motion"
         )
     if simulated.torque is None and (recorded.q_joint is None or simulated.q_joint is None) and simulated.q_set is None:

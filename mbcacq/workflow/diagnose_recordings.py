@@ -68,8 +68,8 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
 
 
 def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Question) -> DiagnosisResult:
-    """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of; what both decide is
-    what is kept.
+    """The diagnosis of poses with that of a motion. The poses are searched again with what the motion is sure of; what both decide is
+    kept.
     """
 
     if found.poses is None or found.observations is None or motion is None:
@@ -85,7 +85,7 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
 
 
 def _with_effects_of_both(found: DiagnosisResult, searched: PosesGiven) -> DiagnosisResult:
-    """The diagnosis with the effects that poses and motion decide together as its model, where they do."""
+    """The diagnosis whose model has the effects that poses and motion decided together, if they decided any."""
     both = None if found.both is None else found.both.together
     model = searched.model(both.sets[0].effects) if both is not None and both.decided and both.significant else None
     if model is None or found.poses is None or found.observations is None:

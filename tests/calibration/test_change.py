@@ -85,6 +85,15 @@ def test_a_ball_that_moved_so_far_that_its_centres_are_rejected_is_named():
     assert (change.kind, change.where, change.nth) == ("ball", "5", 31)
 
 
+@pytest.mark.parametrize("first", [40, 46])
+def test_an_accident_so_large_that_the_poses_after_it_are_rejected_is_named(first):
+    cell = cell_of(6)
+    after = cell.observations.pose >= first
+    obs = replace(cell.observations, xyz=np.where(after[:, None], 1.015, 1.0) * cell.observations.xyz)
+    assert np.all(adjust_recording(obs, HAND_EYE_ALONE).weights.pose[first:] == 0)
+    assert "scale of the scanner's coordinates changed between pose" in calibrate(obs, HAND_EYE_ALONE).to_dict()["warnings"][0]
+
+
 def test_an_encoder_that_jumped_is_named_by_its_axis():
     cell = cell_of(5)
     errors = np.zeros((6, 5))

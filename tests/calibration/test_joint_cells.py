@@ -70,8 +70,7 @@ def test_effects_of_angles_are_not_asked_of_a_slide():
     truth = made.scanner_cell(made.on_a_track(), np.random.default_rng(0), np.array([[600.0, 500, 100], [2600, -500, 200]]), 6)
     obs = truth.observations
     found, _ = catalogue.candidates(Context(obs, truth.truth, predict(obs, truth.truth)))
-    at_the_track = [c for c in found if "A1" in c.where]
-    assert [c.name for c in at_the_track] == ["joint_scale"]
-    (part,) = at_the_track[0].parts()
-    assert part.covariates == {"s1"}
-    assert {"A2", "A3"} <= {c.where[0] for c in found}
+    at_the_track = [c for c in found if "E1" in c.where]
+    assert {c.name for c in at_the_track} == {"joint_scale", "axis_error_motion"}
+    assert {part.covariates for c in at_the_track for part in c.parts(0.0)} == {frozenset({"sE1"})}
+    assert {"A1", "A2"} <= {c.where[0] for c in found}

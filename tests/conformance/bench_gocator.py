@@ -14,6 +14,9 @@ from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.conformance import Channel, Stand, TcpProxy, counted
+from mbcacq.devices import Scan
+
+VOLUME = np.array([-20.0, -20, 150]), np.array([20.0, 20, 300])
 
 
 def tilted_plane() -> ScannerFrame:
@@ -21,6 +24,14 @@ def tilted_plane() -> ScannerFrame:
     xyz = np.stack([x * 0.5 - 4, y * 0.5 - 3, 200 + 0.1 * x - 0.05 * y], axis=2)
     xyz[3:6, 7:11] = np.nan
     return ScannerFrame(xyz, (10 * y + x).astype(np.uint8))
+
+
+def check_scan(scan: Scan, plane: ScannerFrame, numbers: range) -> None:
+    """It is one of these exposures. One bit of a cloud is one point, which the fit of a sphere leaves out."""
+    assert abs(len(scan.points) - 228) <= 1, f"{len(scan.points)} points instead of 228"
+    away = (scan.points - plane.xyz.reshape(-1, 3)[scan.pixel].astype(float)) / [1, 1, 0.5]
+    of_these = [number for number in numbers if np.sort(np.abs(np.nan_to_num(away, nan=1e9) - [0, 0, number]).max(axis=1))[-2] < 0.01]
+    assert of_these, f"the points are those of no exposure of {numbers}"
 
 
 @contextmanager
@@ -33,7 +44,7 @@ def gocator(**more: Any) -> Iterator[Stand]:
         return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
 
     with ExitStack() as stack:
-        sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1)))
+        sensor = stack.enter_context(FakeGocator(source, FakeGocatorOptions(health_period_s=0.1, volume=VOLUME)))
         proxies = {
             name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
@@ -45,10 +56,7 @@ def gocator(**more: Any) -> Iterator[Stand]:
         def use(scanner: Gocator) -> None:
             before = len(asked)
             scan = scanner.capture(900.0 + 10 * before)
-            assert len(scan.points) == 228, f"{len(scan.points)} points instead of 228"
-            away = (scan.points - plane.xyz.reshape(-1, 3)[scan.pixel].astype(float)) / [1, 1, 0.5]
-            of_these = [number for number in range(before + 1, len(asked) + 1) if np.abs(away - [0, 0, number]).max() < 0.01]
-            assert of_these, f"the points are those of no exposure after {before}"
+            check_scan(scan, plane, range(before + 1, len(asked) + 1))
 
         def begin(scanner: Gocator) -> None:
             sensor.faults.set("no_data", times=1)

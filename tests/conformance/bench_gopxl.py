@@ -7,8 +7,9 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
-from bench_gocator import tilted_plane
+from bench_gocator import VOLUME, check_scan, tilted_plane
 from mbcacq_fakes.protocols.gopxl import FakeGoPxL
+from mbcacq_fakes.protocols.gopxl.server import FakeGoPxLOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.gopxl.driver import GoPxL
 
@@ -25,7 +26,7 @@ def gopxl(**more: Any) -> Iterator[Stand]:
         return ScannerFrame(plane.xyz + np.float32([0, 0, 0.5 * len(asked)]), plane.intensity)
 
     with ExitStack() as stack:
-        sensor = stack.enter_context(FakeGoPxL(source))
+        sensor = stack.enter_context(FakeGoPxL(source, FakeGoPxLOptions(volume=VOLUME)))
         proxies = {
             name: stack.enter_context(TcpProxy(Channel(name), ("127.0.0.1", port), cut=counted(), cut_driver=counted()))
             for name, port in sensor.ports._asdict().items()
@@ -37,10 +38,7 @@ def gopxl(**more: Any) -> Iterator[Stand]:
         def use(scanner: GoPxL) -> None:
             before = len(asked)
             scan = scanner.capture(900.0 + 10 * before)
-            assert len(scan.points) == 228, f"{len(scan.points)} points instead of 228"
-            away = (scan.points - plane.xyz.reshape(-1, 3)[scan.pixel].astype(float)) / [1, 1, 0.5]
-            of_these = [number for number in range(before + 1, len(asked) + 1) if np.abs(away - [0, 0, number]).max() < 0.01]
-            assert of_these, f"the points are those of no exposure after {before}"
+            check_scan(scan, plane, range(before + 1, len(asked) + 1))
 
         def begin(scanner: GoPxL) -> None:
             sensor.faults.set("no_data", times=1)

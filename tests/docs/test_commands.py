@@ -86,7 +86,7 @@ DIAGNOSED = re.compile(r"^(?:\.venv/bin/)?mbcacq diagnose runs/concealed --calib
 
 # This page makes a plan of its own; its arm moves faster and its scanner takes less time, with as many poses.
 FASTER = "sed -i -e 's/^  speed: .*/  speed: 1.0/; s/^  scan_time_s: .*/  scan_time_s: 0.1/'"
-OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"  # goes by the clock, and exposes once
+OWN_CELL = "mbcacq plan copy quick my-cell"  # goes by the clock, and exposes once
 
 # That a plan of this arm comes of it is the fact, not for how many places.
 NEW_PLAN, FEW = "mbcacq plan new --robot ur10e", "--stations 3 --poses 12"
@@ -99,7 +99,7 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], di
         if line.strip() == "sleep 2":  # stands for: until the fake cell says that it is up
             lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
         elif line.strip() == OWN_CELL:
-            lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' plans/my-cell.yaml")
+            lines.append(f"{OWN_CELL} && {FASTER} -e 's/^exposures: .*/exposures: 1/' my-cell/quick.yaml")
         elif line.startswith(NEW_PLAN):
             lines.append(f"{line} {FEW}")
         elif DIAGNOSED.match(line.strip()):

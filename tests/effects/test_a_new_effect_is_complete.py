@@ -21,9 +21,9 @@ IN_MOTION = tuple(
     for name, module in catalogue.effects().items()
     if hasattr(module, "motion_candidates") or catalogue.declaration(name).periodic_in_motion is not None
 )
-# Effects of an instrument with orientations, and of an arm that does not stop: the challenge's cells have neither.
-NO_CHALLENGE = {"orientation_bias", "exposure_latency"}
-CHECKED_ELSEWHERE = {"orientation_bias": "test_orientation_bias.py"}
+# Effects of an instrument with orientations, of an arm that does not stop, of external axes: the challenge's cells have none of them.
+NO_CHALLENGE = {"orientation_bias", "exposure_latency", "axis_error_motion"}
+CHECKED_ELSEWHERE = {"orientation_bias": "test_orientation_bias.py", "axis_error_motion": "test_axis_error_motion.py"}
 # Words of other things too: the tool that a cell declares, the body, the block and the signal of that name.
 OTHER_THINGS = {"payload", "friction"}
 

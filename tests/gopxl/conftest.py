@@ -1,18 +1,19 @@
 import pytest
-from gopxl_scene import tilted_plane
+from gopxl_scene import VOLUME, tilted_plane
 from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 
 
 @pytest.fixture
 def sensor():
+    """The first scan of a driver is exposed twice: its second exposure is plane 1."""
     asked = []
 
     def source(exposure_us: float) -> ScannerFrame:
         asked.append(exposure_us)
-        return tilted_plane(len(asked))
+        return tilted_plane(len(asked) - 1)
 
-    with FakeGoPxL(source, FakeGoPxLOptions(discovery_port=0)) as fake:
+    with FakeGoPxL(source, FakeGoPxLOptions(discovery_port=0, volume=VOLUME)) as fake:
         fake.asked = asked
         yield fake
 

@@ -3,6 +3,8 @@
 import numpy as np
 from mbcacq_fakes.world.frame import ScannerFrame
 
+VOLUME = np.array([-20.0, -20, 0]), np.array([20.0, 20, 50])
+
 
 def tilted_plane(number: int = 0) -> ScannerFrame:
     """20 x 12 points with a hole, another height for every number."""

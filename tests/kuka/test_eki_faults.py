@@ -25,7 +25,7 @@ def test_faults_of_the_wire_that_are_none(eki_cell, fault):
 @pytest.mark.parametrize(
     ("fault", "kind", "says"),
     [
-        ({"silence": 1}, DeviceTimeout, "told no state for"),
+        ({"silence": 1}, DeviceTimeout, "reported no state for"),
         ({"close": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
         ({"close_inside": 1}, DeviceTimeout, "the controller brakes the arm by itself"),
         ({"reset": 1}, DeviceTimeout, "the controller brakes the arm by itself"),

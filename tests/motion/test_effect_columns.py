@@ -56,6 +56,7 @@ def group(name, joints=tuple(range(N))):
         base=(np.zeros((*shape, 0)),),
         prior=np.zeros(0),
         refit=True,
+        axes=tuple(f"A{k + 1}" for k in range(N)),
     )
 
 
@@ -125,7 +126,7 @@ def check_backlash_of_a_load():
 
 def check_gear_transmission_error():
     error = np.radians(0.004) * np.sin(37.0 * Q[:, 1] + np.radians(50.0))
-    chosen = periodic_component(catalogue.periodic_in("q_joint"), 1, 37.0, 0.1, 1.0, (-2.0, 2.0))
+    chosen = periodic_component(catalogue.periodic_in("q_joint"), 1, "A2", 37.0, 0.1, 1.0, (-2.0, 2.0))
     found, _ = fitted(chosen, signals(), 1, error, 37.0)
     assert chosen.name == "gear_transmission_error"
     assert found == pytest.approx({"A2.order": 37.0, "A2.amplitude_deg": 0.004, "A2.phase_deg": 50.0})
@@ -133,7 +134,7 @@ def check_gear_transmission_error():
 
 def check_torque_ripple():
     torque = 6.0 * np.sin(90.0 * Q[:, 1] - np.radians(20.0))
-    chosen = periodic_component(catalogue.periodic_in("tau"), 1, 90.0, 0.1, 1.0, (-2.0, 2.0))
+    chosen = periodic_component(catalogue.periodic_in("tau"), 1, "A2", 90.0, 0.1, 1.0, (-2.0, 2.0))
     found, _ = fitted(chosen, signals(), 1, torque, 90.0)
     assert chosen.name == "torque_ripple"
     assert found == pytest.approx({"A2.order": 90.0, "A2.amplitude_Nm": 6.0, "A2.phase_deg": -20.0})

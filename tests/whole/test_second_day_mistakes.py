@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from filelock import FileLock
 
 from mbcacq.cli.app import app
 
@@ -41,8 +42,48 @@ def edited_history(folder):
     (folder / "check.json").write_text(json.dumps({"format": "mbcacq-check/1", "sha256": "0" * 64, "days": []}))
 
 
+def edited_result(folder):
+    content = json.loads((folder / "result.json").read_text())
+    content["parameters"][0]["value"] += 1
+    written("result.json", json.dumps(content))(folder)
+
+
+def moved_plan(folder):
+    shutil.copy(PLANS / "kuka.yaml", folder.parents[1] / "moved.yaml")
+
+
+def renamed_runs(folder):
+    folder.parent.rename(folder.parents[1] / "of-last-year")
+
+
+def removed_latest(folder):
+    (folder.parent / "latest").symlink_to("monday")
+    for run in (folder, folder.parent / "monday"):
+        shutil.rmtree(run)
+
+
+def a_check(name, text):
+    """The folder holds a check, one file of which is another one."""
+
+    def spoil(folder):
+        written("plan.files.json", '{"kind": "check"}')(folder)
+        removed("result.json")(folder)
+        written(name, text)(folder)
+
+    return spoil
+
+
+def somebody_works_in_it(folder):
+    lock = FileLock(folder / ".run.lock")
+    lock.acquire()
+    AT_WORK.append(lock)
+
+
 def nothing(folder):
     pass
+
+
+AT_WORK = []  # the locks of others
 
 
 MISTAKES = [  # what happened, what is typed, what the sentence says
@@ -76,6 +117,28 @@ MISTAKES = [  # what happened, what is typed, what the sentence says
     (nothing, "report runs/monday-2", "does not exist"),
     (nothing, "serve runs/x/result.json", "give the folder that holds them"),
     (nothing, "view runs/x/plan.yaml", "is a plan"),
+    (written("result.json", '{"format": "mbcacq-result/0"}'), "report runs/x", "is no calibration result of format 'mbcacq-result/1'"),
+    (edited_result, "report runs/x", "is not as it was written"),
+    (edited_result, "verify runs/x runs/monday", "is not as it was written"),
+    (written("check.json", '{"format": "mbcacq-check/9"}'), "check runs/x plans/kuka.yaml --dry-run", "written by a newer mbcacq"),
+    (written("diagnosis.json", '{"format": "mbcacq-diagnosis/9"}'), "report runs/x", "a newer mbcacq wrote"),
+    (written("run.rrd", ""), "report runs/x", "is empty: nothing was ever written into it"),
+    (written("run.rrd", ""), "recover runs/x", "is empty, nothing was ever written into it"),
+    (moved_plan, "plan show moved.yaml", "correct the path (it is relative to the plan)"),
+    (moved_plan, "run moved.yaml --dry-run", "correct the path (it is relative to the plan)"),
+    (renamed_runs, "report latest", "there is no run yet"),
+    (renamed_runs, "fleet runs --out arms", "runs does not exist"),
+    (removed_latest, "report latest", "names the run runs/monday, which is gone"),
+    (a_check("check-result.json", ""), "report runs/x", "repeat the check"),
+    (a_check("check-result.json", '{"format": "mbcacq-check-result/9"}'), "report runs/x", "another version wrote it"),
+    (a_check("check-result.json", ""), "calibrate runs/x", "give the run that it checked"),
+    (a_check("check-result.json", ""), "run --resume runs/x", "give the run that it checked"),
+    (somebody_works_in_it, "report runs/x", "is in use by another process"),
+    (somebody_works_in_it, "check runs/x plans/kuka.yaml --dry-run", "is in use by another process"),
+    (somebody_works_in_it, "recover runs/x", "is in use by another process"),
+    (somebody_works_in_it, "run --resume runs/x --dry-run", "is in use by another process"),
+    (nothing, "check runs/x plans/ur.yaml --dry-run", "give what was learnt on the same arm"),
+    (nothing, "run --extend runs/x plans/ur.yaml --dry-run", "grows in its own cell only"),
 ]
 
 
@@ -88,6 +151,8 @@ def test_a_mistake_has_one_sentence(spoil, command, said, finished_run, tmp_path
     spoil(tmp_path / "runs" / "x")
     with chdir(tmp_path):
         done = CliRunner().invoke(app, command.split())
+    while AT_WORK:
+        AT_WORK.pop().release()
     printed = done.stdout + done.stderr
     sentences = re.findall(r"^mbcacq: (.*)$", printed, re.MULTILINE)
     assert (done.exit_code != 0, len(sentences)) == (True, 1), printed

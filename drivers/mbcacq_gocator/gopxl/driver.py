@@ -68,8 +68,8 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
             _log.warning("scanner '%s': %s", self.name, warning)
 
     def _expose(self, session: GoPxLSession) -> Scan:
-        scan = session.expose(self._exposure_us)
-        return replace(scan, warnings=self._guard.look(scan.health))
+        scan = self._confirmed(session, lambda: session.expose(self._exposure_us))
+        return replace(scan, warnings=(*scan.warnings, *self._guard.look(scan.health)))
 
     def _opened(self) -> GoPxLSession:
         place = self._place = located(self.options)

@@ -44,14 +44,15 @@ class GdpStamp(NamedTuple):
 
 @dataclass(frozen=True)
 class GdpSurface:
-    """raw: (L, W, 3) or, uniform, (L, W) int16, -32768 where invalid. scale, offset: (3,) mm. intensity: (L, W) uint8 or None."""
+    """raw: (L, W, 3) or, uniform, (L, W) int16, -32768 where invalid. scale, offset: (3,) mm. intensity: (L, W) uint8 or None. layout: what
+    the points' place in the message and in space is computed from."""
 
     raw: np.ndarray
     scale: np.ndarray
     offset: np.ndarray
     exposure_us: float
     intensity: np.ndarray | None = None
-    transformed: bool = False
+    layout: tuple[object, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,8 @@ def surface(message: memoryview, common: Common) -> GdpSurface:
     grey = _intensity(message, start + 2 * count, grey_rows, grey_columns, pixel_format)
     if grey is not None and grey.shape != (rows, columns):
         raise ProtocolError(f"the intensity image is {grey.shape} but the surface {(rows, columns)}")
-    return GdpSurface(raw, scale, offset, exposure_ns * 1e-3, grey, common.transformed)
+    layout = (rows, columns, grey_rows, grey_columns, *rest[:6], size, pixel_format, at, common.transformed)
+    return GdpSurface(raw, scale, offset, exposure_ns * 1e-3, grey, layout)
 
 
 def profile(message: memoryview, common: Common) -> GdpProfile:

@@ -44,6 +44,7 @@ class GoPxLSession:
         self._last_frame = -1
         self.exposure_us: float | None = None
         self.exposure = "as set"
+        self.geometry: tuple[object, ...] = ()
 
     @property
     def scanner(self) -> tree.ScannerPaths:
@@ -218,6 +219,7 @@ class GoPxLSession:
         self.control.call(self.scanner.trigger, limit_s=STATE_S)
         found = self._wait_for_surface()
         assert found.surface is not None
+        self.geometry = found.surface.layout
         self.exposure = exposure_reported(found.surface.exposure_us, self.exposure_us)
         points, pixel = points_of(found.surface, self.options.right_handed)
         shape = found.surface.raw.shape[:2]

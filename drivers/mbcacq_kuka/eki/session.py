@@ -194,7 +194,7 @@ class EkiSession:
                 self._take(arrival, state)
         silent = time.monotonic() - self._heard
         if silent > self._options.silence_s and self.state is not None:
-            raise LinkLost(f"the controller told no state for {silent:.1f} s")
+            raise LinkLost(f"the controller reported no state for {silent:.1f} s")
 
     def _take(self, arrival: float, state: State) -> None:
         before = self.state

@@ -4,9 +4,9 @@ They advance by one an answered telegram. None is sent before it was seen to be 
 controller was seen to take corrections as absolute.
 
 If a telegram is missing, or the controller counts an answer as late, nobody knows whether it has the last set point or the one before.
-Nothing is inferred from its count: the answers carry no correction, so that it holds what it has, until the arm is seen to stand at one of
-the two. The motion goes on from there, from rest. So no two set points of the controller differ by more than the limits allow, whatever it
-counts; but for the hold itself.
+Nothing is inferred from its count: the answers carry no correction, so that it holds what it has, until the arm is seen to stand at one
+of the two. The motion goes on from there, from rest. So no two set points of the controller differ by more than the limits allow,
+whatever it counts. The hold itself is the exception.
 """
 
 from __future__ import annotations

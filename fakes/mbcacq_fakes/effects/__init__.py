@@ -19,6 +19,7 @@ CATALOGUED = (
     "gear_transmission_error",
     "backlash",
     "joint_scale",
+    "axis_error_motion",
     "wrist_coupling",
     "joint_step",
     "thermal_growth",

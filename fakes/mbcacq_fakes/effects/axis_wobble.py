@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -30,4 +30,9 @@ class AxisWobble(InjectedEffect):
             moved.frame[:, i + 1, 3:] += self.tilt * (turn @ across[:, :, None])[:, :, 0]
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes, "link"), "depends_on": names(self._axes, "q"), "lobes": self.lobes, "tilt_rad": self.tilt}
+        return {
+            "where": self.names(self._axes, "link"),
+            "depends_on": self.names(self._axes, "q"),
+            "lobes": self.lobes,
+            "tilt_rad": self.tilt,
+        }

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -35,4 +35,4 @@ class Backlash(InjectedEffect):
                 moved.joint[p, i] += output[i] - motor
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "width_deg": float(np.degrees(self.width))}
+        return {"where": self.names(self._axes), "width_deg": float(np.degrees(self.width))}

@@ -44,9 +44,14 @@ class InjectedEffect(NoEffect):
         return sorted(self.rng.choice(possible, int(self.rng.integers(1, most + 1)), replace=False).tolist())
 
     def _axis(self, name: str) -> int:
-        if name[:1] not in "AaLl" or not name.lstrip("Alink").isdigit() or not 1 <= int(name.lstrip("Alink")) <= self.cell.n:
-            raise ConfigError(f"fake.hidden: {self.name} cannot act at '{name}'; name an axis, A1 to A{self.cell.n}")
-        return int(name.lstrip("Alink")) - 1
+        known = {wanted: i for i, axis in enumerate(self.cell.axes) for wanted in (axis, f"link{axis.removeprefix('A')}")}
+        if name not in known:
+            raise ConfigError(f"fake.hidden: {self.name} cannot act at '{name}'; name an axis, {', '.join(self.cell.axes)}")
+        return known[name]
+
+    def names(self, axes: Sequence[int], prefix: str = "A") -> list[str]:
+        """What the tool calls the axes; with another prefix, their links or angles."""
+        return [self.cell.axes[i] if prefix == "A" else f"{prefix}{self.cell.axes[i].removeprefix('A')}" for i in axes]
 
     def size(self, typical: float, spread: float = 0.3) -> float:
         """A drawn size with a random sign: strength times typical, give or take."""
@@ -77,7 +82,3 @@ class InjectedEffect(NoEffect):
         if self.given.get("at_pose") is not None:
             return int(self.given["at_pose"])
         return int(self.rng.uniform(0.3, 0.7) * self.cell.planned_poses)
-
-
-def names(axes: Sequence[int], prefix: str = "A") -> list[str]:
-    return [f"{prefix}{i + 1}" for i in axes]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -22,4 +22,4 @@ class CableDrag(InjectedEffect):
         moved.joint[:, self.target] += self.pull * np.tanh(np.abs(wound) / self.slack) ** 2
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names([self.target]), "depends_on": names([self.source], "q"), "pull_rad": self.pull}
+        return {"where": self.names([self.target]), "depends_on": self.names([self.source], "q"), "pull_rad": self.pull}

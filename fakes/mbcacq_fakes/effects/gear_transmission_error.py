@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -39,7 +39,7 @@ class GearTransmissionError(InjectedEffect):
 
     def truth(self) -> dict[str, Any]:
         return {
-            "where": names(self._axes),
+            "where": self.names(self._axes),
             "order": self.order.tolist(),
             "amplitude_deg": np.degrees(self.amplitude).tolist(),
             "phase_deg": np.degrees(self.phase).tolist(),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -43,4 +43,4 @@ class GravityCompensator(InjectedEffect):
         moved.joint[:, 1] += self.compliance * load
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names([1]), "share": self.share, "lever_ratio": self.ratio, "wound_up_rad_per_Nm": self.compliance}
+        return {"where": self.names([1]), "share": self.share, "lever_ratio": self.ratio, "wound_up_rad_per_Nm": self.compliance}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -23,4 +23,4 @@ class HoseTwist(InjectedEffect):
         moved.joint[:, self._target] += self.pull * np.sin(at.q[:, first]) * np.sin(at.q[:, second])
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names([self._target]), "depends_on": names(self._ends, "q"), "pull_rad": self.pull}
+        return {"where": self.names([self._target]), "depends_on": self.names(self._ends, "q"), "pull_rad": self.pull}

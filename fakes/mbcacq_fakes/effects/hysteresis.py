@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -32,4 +32,4 @@ class Hysteresis(InjectedEffect):
                 moved.joint[p, i] += rest - motor
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "half_width_rad_per_Nm": self.half}
+        return {"where": self.names(self._axes), "half_width_rad_per_Nm": self.half}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 TYPICAL = np.array([0.5, 1.2, 1.7, 6.0, 8.0, 12.0]) * 1e-6  # rad / N m, softer towards the wrist
@@ -36,4 +36,7 @@ class JointCompliance(InjectedEffect):
         moved.joint += wound - commanded
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "compliance_rad_per_Nm": {f"A{i + 1}": float(self.compliance[i]) for i in self._axes}}
+        return {
+            "where": self.names(self._axes),
+            "compliance_rad_per_Nm": {self.cell.axes[i]: float(self.compliance[i]) for i in self._axes},
+        }

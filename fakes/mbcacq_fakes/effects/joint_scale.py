@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -23,4 +23,4 @@ class JointScale(InjectedEffect):
             moved.joint[:, i] += motor / (teeth / (1 + self.ratio)) - at.q[:, i]
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "ratio": self.ratio}
+        return {"where": self.names(self._axes), "ratio": self.ratio}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -31,4 +31,4 @@ class JointSettling(InjectedEffect):
                     moved.joint[p, i] += self.sag * np.sign(torque[i])
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "sag_deg": float(np.degrees(self.sag))}
+        return {"where": self.names(self._axes), "sag_deg": float(np.degrees(self.sag))}

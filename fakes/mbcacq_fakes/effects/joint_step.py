@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -24,4 +24,4 @@ class JointStep(InjectedEffect):
         moved.joint[np.ix_(after, np.array(self._axes))] += self.step
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "at_pose": self.at_pose, "step_deg": float(np.degrees(self.step))}
+        return {"where": self.names(self._axes), "at_pose": self.at_pose, "step_deg": float(np.degrees(self.step))}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.arm import STANDARD_GRAVITY
 from mbcacq_fakes.world.hooks import Moments, Moved
 
@@ -38,4 +38,4 @@ class LinkBending(InjectedEffect):
             moved.frame[:, i + 1, 3:] += (self.twist * np.tanh(self.bears * moment / self._scale) / self.bears)[:, None] * along
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes, "link"), "depends_on": ["gravity"], "twist_rad": self.twist}
+        return {"where": self.names(self._axes, "link"), "depends_on": ["gravity"], "twist_rad": self.twist}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -56,7 +56,7 @@ class LostMotion(InjectedEffect):
 
     def truth(self) -> dict[str, Any]:
         return {
-            "where": names(self._axes),
+            "where": self.names(self._axes),
             "lost_motion_deg": float(np.degrees(self.lost)),
             "breakpoint_Nm": self.breakpoint,
             "beyond_rad_per_Nm": self.beyond,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -24,5 +24,5 @@ class ProgressiveGear(InjectedEffect):
             moved.joint[:, i] += self.wind_up * (torque[:, i] / self._reach) ** 3
 
     def truth(self) -> dict[str, Any]:
-        where = names(self._axes)
+        where = self.names(self._axes)
         return {"where": where, "depends_on": [f"gravity_torque_{i + 1}" for i in self._axes], "wind_up_rad": self.wind_up}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -33,4 +33,9 @@ class ShortMemory(InjectedEffect):
                 moved.joint[p, i] += self._kept[i]
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "depends_on": names(self._axes, "direction_"), "lag_rad": self.lag, "length_rad": self.length}
+        return {
+            "where": self.names(self._axes),
+            "depends_on": self.names(self._axes, "direction_"),
+            "lag_rad": self.lag,
+            "length_rad": self.length,
+        }

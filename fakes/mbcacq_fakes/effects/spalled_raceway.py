@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -56,9 +56,9 @@ class SpalledRaceway(InjectedEffect):
     def truth(self) -> dict[str, Any]:
         turned = range(self._joint, self._joint + 1) if self._joint < 2 else (1, 2)
         return {
-            "where": names([self._joint], "link"),
-            "observable_at": names([self._joint + 1]) if self._is_next_joint else [],
-            "depends_on": names(turned, "q"),
+            "where": self.names([self._joint], "link"),
+            "observable_at": self.names([self._joint + 1]) if self._is_next_joint else [],
+            "depends_on": self.names(turned, "q"),
             "tilt_rad": self.tilt,
             "half_width_rad": self.half_width,
         }

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -38,4 +38,4 @@ class ThermalGrowth(InjectedEffect):
             moved.frame[p, self._axes[0] + 1, :3] += self.growth * (self._link_C - self._reference) * self._along
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes, "link"), "growth_mm_per_K": self.growth, "lag_s": self.given["lag_s"]}
+        return {"where": self.names(self._axes, "link"), "growth_mm_per_K": self.growth, "lag_s": self.given["lag_s"]}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 ALUMINIUM = 23.6e-6  # growth a kelvin, relative
@@ -29,4 +29,4 @@ class ThermalZeroShift(InjectedEffect):
         moved.joint[:, self._axes[0]] += np.arctan2(grown, DISC_MM)
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names(self._axes), "depends_on": "robot_C", "zero_rad_per_K": self.bracket_mm * ALUMINIUM / DISC_MM}
+        return {"where": self.names(self._axes), "depends_on": "robot_C", "zero_rad_per_K": self.bracket_mm * ALUMINIUM / DISC_MM}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -25,7 +25,7 @@ class WarmGearbox(InjectedEffect):
 
     def truth(self) -> dict[str, Any]:
         return {
-            "where": names(self._axes),
+            "where": self.names(self._axes),
             "depends_on": [f"gravity_torque_{i + 1}" for i in self._axes] + ["robot_C", "time"],
             "softening_rad_per_Nm_K": self.softening,
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq_fakes.effects.base import InjectedEffect, names
+from mbcacq_fakes.effects.base import InjectedEffect
 from mbcacq_fakes.world.hooks import Moments, Moved
 
 
@@ -28,4 +28,4 @@ class WristCoupling(InjectedEffect):
         moved.joint[:, self.target] += self.ratio * at.q[:, self.source]
 
     def truth(self) -> dict[str, Any]:
-        return {"where": names([self.source, self.target]), "ratio": self.ratio}
+        return {"where": self.names([self.source, self.target]), "ratio": self.ratio}

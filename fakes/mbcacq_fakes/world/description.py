@@ -40,7 +40,7 @@ class CellFacts:
 
     planned_q: (P, n) rad of the poses to be taken, or none; pace_s: the time from one to the next, roughly. Injected effects
     choose by them the moment at which they begin and the joint on which they act. slides: (n,) bool, prismatic joints; root: (4, 4) of the
-    first joint in the base, None: they are one.
+    first joint in the base, None: they are one; names: of the axes, E1 .. the external ones.
     """
 
     sign: np.ndarray
@@ -57,6 +57,12 @@ class CellFacts:
     pace_s: float = 3.0
     slides: np.ndarray | None = None
     root: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names of the axes; A1 .. where none are given."""
+        return self.names or tuple(f"A{i + 1}" for i in range(self.n))
 
     @property
     def n(self) -> int:
@@ -80,6 +86,7 @@ def from_cell(cell: Any, field_of_view: Any = None) -> CellFacts:
         rows=np.stack([chain.theta, chain.d, chain.a, chain.alpha, chain.beta], axis=1).astype(float),
         slides=np.array(chain.prismatic),
         root=chain.root,
+        names=tuple(robot.axes),
         masses=Masses(
             np.array(robot.mass, dtype=float),
             np.array(robot.com, dtype=float),

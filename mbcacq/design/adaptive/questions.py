@@ -76,7 +76,7 @@ class Questions:
         return information / (information + OPTIONS.shows) @ self.weights / max(float(self.weights.sum()), 1e-12)
 
     def hidden(self, squares: np.ndarray) -> np.ndarray:
-        """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""
+        """(...,) sum of log(1 + information) over the effects that could hide, at their usual size; each kind has the same weight."""
         return np.log1p(np.maximum(squares[..., self.pairs :], 0.0)) @ self.weights
 
     def log_odds_gained(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 A wrong payload p, say, shows through the elastic joints: each gives way by c (tau + U p), its compliance times the torque of the declared
 payload and of the error. That is linear in c for a given p, and linear in p for given c. Both are solved in turns at the point reached
-(Gauss-Newton). The report is made from the last such problem, written with the declared torque, in which the coefficients of the coupled
-effect stand for themselves.
+(Gauss-Newton). The report is made from the last problem, written with the declared torque: there each coefficient of the coupled effect is
+a parameter of its own.
 """
 
 from __future__ import annotations

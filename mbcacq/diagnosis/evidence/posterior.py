@@ -81,7 +81,7 @@ def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
 
 
 def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float, changed: frozenset[str] = frozenset()) -> NotSeparable:
-    """The effects that only one of both sets has. correlation: of what that explains; changed: those that both have, of other sizes."""
+    """The effects that only one of two sets has. correlation: of what these explain; changed: effects of both sets, of different sizes."""
     ours, theirs = (reported.labels - other.labels) | changed, (other.labels - reported.labels) | changed
     sides = TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))
     return NotSeparable(sides, correlation, relative_odds(other, reported))

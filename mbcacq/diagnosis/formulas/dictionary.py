@@ -59,7 +59,7 @@ class DictionaryEntry:
 
 def entries(context: Context, location: Location) -> list[DictionaryEntry]:
     """The terms of a location: of the arm, functions of the pose; of the scanned point, functions of the centre in the field of view."""
-    straight = varying(context, [f"q{i + 1}" for i in range(context.n)])
+    straight = varying(context, [context.position(i) for i in range(context.n)])
     angles = [name for e in straight for name in e.covariates]
     periodic = [harmonic(name, order) for name in angles for order in range(1, PRODUCT_ORDERS + 1)]
     if location.keys[0][0] == "point":
@@ -68,10 +68,12 @@ def entries(context: Context, location: Location) -> list[DictionaryEntry]:
         plain = [wave(e.shape, float(k)) for e in field[:2] for k in wave_orders(context, e.shape)]
         pairs = [*product(field, [*periodic, *(power(e, 2) for e in field)])]
     else:
-        of_joints = [f"{kind}{i + 1}" for kind in ("direction_", "qd", "tau", "gravity_torque_") for i in range(context.n)]
-        of_frame = [f"{kind}_{axis}" for kind in (f"gravity_moment_{location.frame}", "payload_force") for axis in FIELD]
+        of_joints = [f"{kind}{tag}" for kind in ("direction_", "qd", "tau", "gravity_torque_") for tag in context.tags]
+        of_frame = [
+            f"{kind}_{axis}" for kind in (f"gravity_moment_{context.frame_tags[location.frame]}", "payload_force") for axis in FIELD
+        ]
         measured = [*slow(context), *varying(context, [*of_joints, "payload_kg", *of_frame])]
-        highest = dict.fromkeys(angles, UNMODELLED.other_order) | {f"q{location.joint + 1}": UNMODELLED.few_order}
+        highest = dict.fromkeys(angles, UNMODELLED.other_order) | {context.position(location.joint): UNMODELLED.few_order}
         plain = [*straight, *fading(context), *(harmonic(name, k) for name in angles for k in range(1, highest[name] + 1))]
         pairs = [*combinations(periodic, 2), *product(periodic, measured)]
     pairs = [pair for pair in (*pairs, *combinations(measured, 2)) if pair[0].covariates != pair[1].covariates]

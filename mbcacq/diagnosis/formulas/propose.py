@@ -160,7 +160,7 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     for effect in effects:
         other = [w for a in effect.alternatives if a.name == UNKNOWN and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]
         for name in (name for name in (*effect.where, *effect.equivalent, *other) if name in known):
-            behind = name if name == "scanner" else f"A{min(known[name].frame + 1, context.n)}"
+            behind = name if name == "scanner" else context.axes[min(known[name].frame, context.n - 1)]
             found |= {name: known[name], behind: known[behind]}
     return list(found.values())
 
@@ -174,9 +174,7 @@ def text_of(placed: Sequence[PlacedTerm], values: np.ndarray) -> str:
 
 
 def term_of(context: Context, formula: Formula) -> EffectTerm:
-    """The formula with its coefficients as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a
-    term's coefficients of one unit.
-    """
+    """The formula as the term of an effect. Typical sizes are the fitted ones, rounded; coefficients of one term and unit share one."""
     found, k = formula.hypothesis.solved, len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]

@@ -112,7 +112,8 @@ class FormulaSpace:
 
 
 def distinct(columns: np.ndarray) -> np.ndarray:
-    """Which of the columns (rows, f) vary, and not as one before them, whatever their mean, which is the geometry's, and their scale."""
+    """Indices of the columns (rows, f) that vary otherwise than any before them. Means belong to the geometry and do not count, nor do
+    scales."""
     varies = np.flatnonzero(columns.std(axis=0) > 1e-9 * np.sqrt(np.mean(columns**2, axis=0)))
     shape = columns[:, varies] - columns[:, varies].mean(axis=0)
     shape = shape / shape[np.abs(shape).argmax(axis=0), np.arange(len(varies))]

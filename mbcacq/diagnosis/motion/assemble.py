@@ -196,7 +196,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
     low, high = (in_degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
     limits = in_degrees(robot.limits)
     small = [j for j in range(1, robot.n) if high[j] - low[j] < NUMBERS.wide_range * (limits[j, 1] - limits[j, 0])]
-    ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
+    ranges = ", ".join(f"{robot.axes[j]} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (
         f"{names} are confounded over the angles recorded (in °: {ranges or 'all wide'}): record a motion over as much of these ranges as "
@@ -217,4 +217,4 @@ def _inertial(fit: MotionFit) -> list[BodyInertia]:
 
 
 def _axis(fit: MotionFit, j: int) -> str:
-    return f"A{fit.group.joints[j] + 1}"
+    return fit.group.axes[fit.group.joints[j]]

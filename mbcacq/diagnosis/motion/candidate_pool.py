@@ -40,7 +40,7 @@ def periodic_candidates(
         near = np.flatnonzero(np.abs(orders - motor_order) <= limits.spacing)
         if len(near):
             found.append((float(orders[near[np.argmax(power[near])]]), NUMBERS.motor_order_trials))
-    return [periodic_component(effect, joint, order, limits.spacing / 2, trials, observed) for order, trials in found]
+    return [periodic_component(effect, joint, group.axes[joint], order, limits.spacing / 2, trials, observed) for order, trials in found]
 
 
 def _power(q: np.ndarray, residual: np.ndarray, limits: OrderRange, oversampling: int) -> tuple[np.ndarray, np.ndarray]:

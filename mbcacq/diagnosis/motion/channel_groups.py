@@ -15,7 +15,7 @@ Runs = tuple[MotionSignals, ...]
 def channel_groups(runs: Runs, inertial: list[np.ndarray], robot: RobotModel) -> list[ChannelGroup]:
     """Every kind of mismatch that all of these recordings can show. inertial: (T, n, n, 10) torque by unit inertial parameter, by run."""
     inside = tuple(_inside(run) for run in runs)
-    found = (_torque(runs, inertial, robot, inside), _angles("q_joint", runs, 1.0, inside), _angles("q_set", runs, -1.0))
+    found = (_torque(runs, inertial, robot, inside), _angles("q_joint", runs, 1.0, robot, inside), _angles("q_set", runs, -1.0, robot))
     return [group for group in found if group is not None]
 
 
@@ -43,10 +43,11 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
         np.ones(base[0].shape[2]),
         refit=False,
         signal=tuple(t[:, columns] for t in torque),
+        axes=robot.axes,
     )
 
 
-def _angles(name: str, runs: Runs, sign: float, inside: tuple[np.ndarray, ...] | None = None) -> ChannelGroup | None:
+def _angles(name: str, runs: Runs, sign: float, robot: RobotModel, inside: tuple[np.ndarray, ...] | None = None) -> ChannelGroup | None:
     """The mismatch of an angle beside that of the motor: ``sign`` times their difference.
 
     inside: (T, n) by run, the samples that are used where the channel may be late. The set point is not shifted, and all of it is used: a
@@ -61,7 +62,7 @@ def _angles(name: str, runs: Runs, sign: float, inside: tuple[np.ndarray, ...] |
     use = tuple(np.ones(m.shape, dtype=bool) for m in mismatch) if inside is None else tuple(k[:, columns] for k in inside)
     signal = () if inside is None else tuple(s[:, columns] for s in signals)
     no_base = tuple(np.zeros((*m.shape, 0)) for m in mismatch)
-    return ChannelGroup(name, "rad", joints, mismatch, use, no_base, np.zeros(0), refit=True, signal=signal)
+    return ChannelGroup(name, "rad", joints, mismatch, use, no_base, np.zeros(0), refit=True, signal=signal, axes=robot.axes)
 
 
 def _complete(signals: list[np.ndarray]) -> tuple[int, ...]:

@@ -59,7 +59,7 @@ def suspicions(runs: tuple[MotionSignals, ...]) -> tuple[str, ...]:
     described = _unit_torques(samples, robot)
     before = _residual(samples, robot, described)
     best, after = "", before
-    for what, reading in _readings(samples):
+    for what, reading in _readings(samples, robot.axes):
         read = reading(samples)
         same = read.q is samples.q and read.gravity is samples.gravity
         rms = _residual(read, robot, described if same else _unit_torques(read, robot))
@@ -71,7 +71,7 @@ def suspicions(runs: tuple[MotionSignals, ...]) -> tuple[str, ...]:
     if float(np.prod(ratio)) > NUMBERS.suspicious_ratio:
         return ()
     j = int(np.argmin(ratio))
-    return (f"with {best} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at A{j + 1}",)
+    return (f"with {best} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at {robot.axes[j]}",)
 
 
 def _samples(runs: tuple[MotionSignals, ...], robot: RobotModel) -> Samples:
@@ -86,26 +86,29 @@ def _samples(runs: tuple[MotionSignals, ...], robot: RobotModel) -> Samples:
     return Samples(q, qd, qdd, torque, np.abs(qd) > NUMBERS.standstill * np.abs(qd).max(axis=0), robot.gravity)
 
 
-def _readings(samples: Samples) -> Iterator[Reading]:
+def _readings(samples: Samples, axes: tuple[str, ...]) -> Iterator[Reading]:
     n = samples.q.shape[1]
     each = np.eye(n)
     for j, flip in enumerate(1.0 - 2.0 * each):
-        yield f"A{j + 1} reversed", partial(_angles, sign=flip)
-        yield f"the torque of A{j + 1} reversed", partial(_torques, sign=flip)
-        yield f"A{j + 1} and its torque reversed", lambda s, flip=flip: _torques(_angles(s, flip), flip)
+        yield f"{axes[j]} reversed", partial(_angles, sign=flip)
+        yield f"the torque of {axes[j]} reversed", partial(_torques, sign=flip)
+        yield f"{axes[j]} and its torque reversed", lambda s, flip=flip: _torques(_angles(s, flip), flip)
     yield "all axes reversed", partial(_angles, sign=-1.0)
     yield "all torques reversed", partial(_torques, sign=-1.0)
     yield "all axes and torques reversed", lambda s: _torques(_angles(s, -1.0), -1.0)
     for j in range(n):
         for quarter in (1, -1, 2):
-            yield f"{90 * quarter:+d}° added to A{j + 1}", partial(_angles, offset=quarter * QUARTER * each[j])
+            yield f"{90 * quarter:+d}° added to {axes[j]}", partial(_angles, offset=quarter * QUARTER * each[j])
     for a, b in product((1, -1), (1, -1)) if n >= 3 else ():
-        yield f"{90 * a:+d}° added to A2 and {90 * b:+d}° to A3", partial(_angles, offset=QUARTER * (a * each[1] + b * each[2]))
+        yield (
+            f"{90 * a:+d}° added to {axes[1]} and {90 * b:+d}° to {axes[2]}",
+            partial(_angles, offset=QUARTER * (a * each[1] + b * each[2])),
+        )
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
-        yield f"the columns of A{i + 1} and A{j + 1} exchanged", lambda s, order=order: _torques(_angles(s, order=order), order=order)
-        yield f"the torques of A{i + 1} and A{j + 1} exchanged", partial(_torques, order=order)
+        yield f"the columns of {axes[i]} and {axes[j]} exchanged", lambda s, order=order: _torques(_angles(s, order=order), order=order)
+        yield f"the torques of {axes[i]} and {axes[j]} exchanged", partial(_torques, order=order)
     if in_degrees(np.abs(samples.q)).max() < FEW_RADIANS:
         yield "the angles read as radians, not degrees", partial(_angles, sign=float(in_degrees(1)))
     for what, down in DOWN.items():

@@ -69,7 +69,7 @@ class MotionSearch(EvidenceSearch):
         return best
 
     def looked_at(self, members: Sequence[Member], best: Hypothesis) -> Hypothesis:
-        """With its own noise: without an effect the noise of a joint may be a hundred times as large, and a step does not show that."""
+        """The noise is estimated too: an effect may lower it a hundredfold, and a linear step does not show that."""
         return self.estimated(members, best.point)
 
     def may_matter(self, log_posterior: float, best: Hypothesis) -> bool:
@@ -81,8 +81,8 @@ class MotionSearch(EvidenceSearch):
         return float(self.log_factors(rest, [member])[0]) < BEYOND_DOUBT
 
     def settled(self, best: Hypothesis, first: int = 0) -> Hypothesis:
-        """The set with the most probable value of the hyper-parameters of its effects from number ``first`` on, one after the other, at the
-        noise that they leave. Before an effect is there, the noise hides which value fits best.
+        """The set with most probable hyper-parameters: one effect after the other, from number ``first`` on, at the remaining noise.
+        Without the effect, the noise hides which value fits best.
         """
         members = list(best.members)
         for i, member in list(enumerate(members))[first:]:

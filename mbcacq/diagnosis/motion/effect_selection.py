@@ -66,7 +66,7 @@ class EffectSelection:
         self.pool.forget_step()
 
     def _compared_anew(self, fit: EvidenceFit, before: EvidenceFit | None) -> EvidenceFit | None:
-        """The sets near the most probable one, linearised with that in place; None if nothing is beyond it, or time is over."""
+        """The sets near the most probable one, linearised about it; None if nothing is beyond it, or time is over."""
         best, selected = fit.hypotheses[0], _forms(self.model.selected)
         if before is not None:
             if _forms(best.members) == selected:

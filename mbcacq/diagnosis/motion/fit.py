@@ -217,7 +217,7 @@ def at_bound(member: Member) -> bool:
 def _step(group: ChannelGroup, candidate: Candidate, parameters: Parameters, judged: Judged) -> MotionStep:
     """The held-out errors of the joints on which an effect acts, without it and with it."""
     before, after = (
-        {f"A{joint + 1}": group.scale * float(np.sqrt(square[group.index(joint)])) for joint in candidate.rows.joints}
+        {group.axes[joint]: group.scale * float(np.sqrt(square[group.index(joint)])) for joint in candidate.rows.joints}
         for square in (judged.before, judged.after)
     )
     return MotionStep(tuple(parameters), before, after)
@@ -304,7 +304,7 @@ def motion_series(
         unit, scale = fit.group.shown_unit, fit.group.scale
         shown = fit.group.signal if fit.group.name == "tau" else fit.group.mismatch
         for j, joint in enumerate(fit.group.joints):
-            at = f"A{joint + 1}"
+            at = fit.group.axes[joint]
             kept = fit.residual_before if (fit.group.name, at) in refused else fit.residual_after
             for k, (trajectory, run) in enumerate(zip(trajectories, runs, strict=True)):
                 measured = shown[k][:, j]

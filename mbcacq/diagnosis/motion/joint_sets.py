@@ -155,7 +155,7 @@ def log_of_one(stated: Sequence[ComparedEffect]) -> float:
 
 
 def prior_of(stated: ComparedEffect, key: str, components: int) -> ParameterEstimate | None:
-    """A parameter before the recording; what it is without the effect may not be a number."""
+    """A parameter before the recording. Its value without the effect may be no number."""
     prior = stated.prior.get(key)
     values, stds = ((), ()) if prior is None else prior.components
     return prior if len(values) == len(stds) == components and np.isfinite(stds).all() else None

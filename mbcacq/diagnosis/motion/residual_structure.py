@@ -11,7 +11,7 @@ from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry, ResponseSh
 from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.motion_effect import MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 FEWEST_BINS = 3  # a table of fewer has no shape
 
@@ -40,8 +40,8 @@ def residual_structure(
     mean_square, floor = float(np.mean(np.concatenate(residual) ** 2)), float(fit.floor[j])
     if mean_square < NUMBERS.residual_chi2_dof * floor**2:
         return None, None
-    best = _strongest(_covariates(fit.group.name, runs, fit.group.joints[j]), used, residual)
-    axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
+    best = _strongest(_covariates(fit.group, runs, fit.group.joints[j]), used, residual)
+    axis, channel = fit.group.axes[fit.group.joints[j]], fit.group.name
     if best is None or best.share < NUMBERS.least_residual_share:
         segments = NUMBERS.residual_segments
         p_value = float(chdtrc(segments, segments * mean_square / floor**2))
@@ -70,14 +70,13 @@ def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], 
     return best
 
 
-def _covariates(channel: str, runs: tuple[MotionSignals, ...], joint: int) -> dict[str, list[np.ndarray]]:
-    n = runs[0].q.shape[1]
-    out = {f"q{k + 1}": [run.q[:, k] for run in runs] for k in range(n)}
-    out |= {f"qd{k + 1}": [run.qd[:, k] for run in runs] for k in range(n)}
-    out[f"qdd{joint + 1}"] = [run.qdd[:, joint] for run in runs]
+def _covariates(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> dict[str, list[np.ndarray]]:
+    out = {f"q{tag}": [run.q[:, k] for run in runs] for k, tag in enumerate(group.tags)}
+    out |= {f"qd{tag}": [run.qd[:, k] for run in runs] for k, tag in enumerate(group.tags)}
+    out[f"qdd{group.tags[joint]}"] = [run.qdd[:, joint] for run in runs]
     torque = [run.torque[:, joint] for run in runs if run.torque is not None]
-    if len(torque) == len(runs) and channel != "tau":
-        out[f"tau{joint + 1}"] = torque
+    if len(torque) == len(runs) and group.name != "tau":
+        out[f"tau{group.tags[joint]}"] = torque
     return out
 
 

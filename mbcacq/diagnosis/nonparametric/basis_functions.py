@@ -20,6 +20,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import AXIS, TILT, Covariates
 from mbcacq.effects.described import Evaluation
 from mbcacq.effects.functions import SIGHT, ZERO, Column, DescribedPart, Product, cosine, linear, of, scaled, sine, standardized, times
+from mbcacq.effects.learnt_range import is_angle
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 from mbcacq.estimation.terms import PER_POSE
 
@@ -76,7 +77,7 @@ def scanner_location() -> Location:
 def locations_of_arm(s: Context) -> list[Location]:
     """Joints, links, base and mount."""
     n = s.n
-    out = [Location(f"A{i + 1}", components("joint", i, 1), np.eye(1), ((0,),), i, i) for i in range(n)]
+    out = [Location(s.axes[i], components("joint", i, 1), np.eye(1), ((0,),), i, i) for i in range(n)]
     chain = s.state.chain
     free = np.linalg.inv(chain.link_transforms(-chain.theta[None] * chain.sign)[:, :, :3, :3])[0]
     shifts, turns = ((0,), (1,), (2,), (0, 1, 2)), ((3,), (4,), (3, 4))
@@ -86,7 +87,7 @@ def locations_of_arm(s: Context) -> list[Location]:
         mix[:3, :3] = across.T
         mix[3:, 3:] = across.T[:2]
         own = [rows for rows in turns if len(rows) > 1 or np.hypot(*mix[rows[0], 3:5]) > OPTIONS.varies]
-        out.append(Location(f"link{i}", components("frame", i), mix, (*shifts, *own, (0, 1, 2, 3, 4)), i, i - 1))
+        out.append(Location(s.frames[i], components("frame", i), mix, (*shifts, *own, (0, 1, 2, 3, 4)), i, i - 1))
     six = (*shifts, *turns, (3, 4, 5), tuple(range(6)))
     out.append(Location("base", components("frame", 0), np.eye(6), six, 0, 0))
     turned = s.scanner_on_flange or s.obs.rotation is not None
@@ -139,7 +140,7 @@ class Basis:
         return self.evaluation.value(name) if self.per_pose else self.evaluation.at_centres(name)
 
     def shapes(self, name: str, columns: Sequence[Column], each: int | None = None, falling: bool = False, at: str = "") -> list[Shape]:
-        """Functions, centred and of unit size, as shapes of ``each`` of them, or as one; those that do not vary are left out."""
+        """Centred functions of unit size, each a shape of its own (``each``) or all one shape, without those that do not vary."""
         F = self.evaluation(columns, self.per_pose)
         mean = F.mean(axis=0)
         centred = F - mean
@@ -195,16 +196,16 @@ def of_poses(basis: Basis) -> list[Shape]:
     s = basis.here
     out, obs = list[Shape](), s.obs
     for i in turning(s):
-        name = f"q{i + 1}"
+        name = s.position(i)
         periodic = harmonics(name, 1, UNMODELLED.other_order)
         out += basis.shapes(name, periodic, 2) + basis.shapes(name, periodic[:4]) + basis.smooth(name, name)
-    out += basis.shapes(f"gravity_torque_{s.n}", [linear(f"gravity_direction_{s.n}_{axis}") for axis in XYZ])
+    out += basis.shapes(f"gravity_torque_{s.tags[-1]}", [linear(f"gravity_direction_{s.tags[-1]}_{axis}") for axis in XYZ])
     if obs.direction is not None:
         out += [shape for i in range(s.n) for shape in directions(basis, i)]
     out += [shape for name in in_time(s) for shape in basis.smooth(name, name)] + history(basis)
     for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
         if values is not None:
-            out += [shape for i in range(s.n) for shape in basis.shapes(f"{name}{i + 1}", [linear(f"{name}{i + 1}")])]
+            out += [shape for tag in s.tags for shape in basis.shapes(f"{name}{tag}", [linear(f"{name}{tag}")])]
     return out + (basis.shapes("payload_kg", [linear("payload_kg")]) if obs.payload_kg is not None else [])
 
 
@@ -215,7 +216,7 @@ def at_location(basis: Basis, location: Location, angles: list[Shape]) -> list[S
     for frame in {location.frame, max(location.frame - (not is_joint), 0)}:
         out += gravity_moments(basis, frame)
     if location.joint in turning(s):
-        name = f"q{location.joint + 1}"
+        name = s.position(location.joint)
         out += basis.shapes(name, harmonics(name, UNMODELLED.other_order + 1, UNMODELLED.few_order), 2)
     if not is_joint:
         near = [i for i in turning(s) if abs(i - location.joint) <= OPTIONS.near_joints]
@@ -223,7 +224,7 @@ def at_location(basis: Basis, location: Location, angles: list[Shape]) -> list[S
     if is_joint:
         torque = s.gravity_torque[:, location.joint]
         loaded = np.ptp(torque) > OPTIONS.varies * np.ptp(s.gravity_torque, axis=0).max() + 1e-9
-        own = f"gravity_torque_{location.joint + 1}"
+        own = f"gravity_torque_{s.tags[location.joint]}"
         out += angles + (basis.thresholds(own) + stiffness_curves(basis, own) if loaded else [])
     return out
 
@@ -249,7 +250,7 @@ def history(basis: Basis) -> list[Shape]:
 def pairs(basis: Basis, joints: Iterable[int], orders: int) -> list[Shape]:
     """Functions of two angles: of their sum, of their difference, and products of up to so many periods a turn."""
     out = list[Shape]()
-    for a, b in combinations([f"q{i + 1}" for i in joints], 2):
+    for a, b in combinations([basis.here.position(i) for i in joints], 2):
         (sa, ca, *_), (sb, cb, *_) = first, second = harmonics(a, 1, orders), harmonics(b, 1, orders)
         same, opposite = (times(sa, cb), times(ca, sb)), (times(ca, cb), times(sa, sb))
         for sign in (1.0, -1.0):
@@ -260,16 +261,17 @@ def pairs(basis: Basis, joints: Iterable[int], orders: int) -> list[Shape]:
 
 def turning(s: Covariates) -> list[int]:
     """The joints whose angles vary."""
-    return [i for i in range(s.n) if np.ptp(s.obs.q[:, i]) > OPTIONS.varies]
+    return [i for i in range(s.n) if np.ptp(s.obs.q[:, i]) > OPTIONS.varies and is_angle(s.position(i))]
 
 
 def directions(basis: Basis, i: int) -> list[Shape]:
     """The direction of rotation of joint i's last motion: alone, fading with the distance travelled, growing with the load."""
-    name, torque = f"direction_{i + 1}", f"gravity_torque_{i + 1}"
+    tag = basis.here.tags[i]
+    name, torque = f"direction_{tag}", f"gravity_torque_{tag}"
     if np.ptp(basis.values(name)) == 0:
         return []
-    own, last = linear(name), linear(f"travel_direction_{i + 1}")
-    fading = [own, *(times(last, of(f"travel_{i + 1}", "decay", reach)) for reach in OPTIONS.fading_reaches)]
+    own, last = linear(name), linear(f"travel_direction_{tag}")
+    fading = [own, *(times(last, of(f"travel_{tag}", "decay", reach)) for reach in OPTIONS.fading_reaches)]
     return [*basis.shapes(name, fading, 1), *basis.shapes(name, fading), *basis.shapes(name, [times(own, magnitude(torque))])]
 
 
@@ -287,14 +289,18 @@ def gravity_torque(s: Covariates, frame: int) -> str:
     """Name of the covariate by which a frame's gravity moment is reported: a vertical first axis feels none, so the second does what tilts
     the base.
     """
-    return f"gravity_torque_{min(max(frame + 1, 2), s.n)}"
+    return f"gravity_torque_{s.tags[min(max(frame, 1), s.n - 1)]}"
 
 
 def gravity_moments(basis: Basis, frame: int) -> list[Shape]:
     """Components of the gravity moment of all that hangs behind a frame, about its origin: each by itself, and together."""
     moment, name = basis.here.gravity_moment(frame), gravity_torque(basis.here, frame)
     largest = np.max(moment**2)
-    varying = [f"gravity_moment_{frame}_{axis}" for axis, x in zip(XYZ, moment.T, strict=True) if np.ptp(x) ** 2 > ROUNDING * largest]
+    varying = [
+        f"gravity_moment_{basis.here.frame_tags[frame]}_{axis}"
+        for axis, x in zip(XYZ, moment.T, strict=True)
+        if np.ptp(x) ** 2 > ROUNDING * largest
+    ]
     together = basis.shapes(name, [linear(x) for x in varying]) if len(varying) > 1 else []
     return [shape for x in varying for shape in basis.smooth(name, x)] + together
 
@@ -314,7 +320,7 @@ def of_centres(basis: Basis) -> list[Shape]:
         out += artefact_tilts(basis)
     for name in in_time(s):
         out += basis.smooth(name, name) + basis.shapes(name, [times(basis.standard(name), basis.standard(axis)) for axis in XYZ])
-    out += basis.shapes(f"gravity_torque_{s.n}", [linear(f"gravity_direction_{s.n}_{axis}") for axis in XYZ])
+    out += basis.shapes(f"gravity_torque_{s.tags[-1]}", [linear(f"gravity_direction_{s.tags[-1]}_{axis}") for axis in XYZ])
     return out + periodic_component(basis, "x") + periodic_component(basis, "y")
 
 

@@ -98,7 +98,7 @@ class DesignBlocks:
         s = self.context
         by_pose, by_centre = Basis.of(s), Basis.of(s, per_pose=False)
         common = basis_functions.of_poses(by_pose)
-        angles = [shape for i in basis_functions.turning(s) for shape in by_pose.thresholds(f"q{i + 1}")]
+        angles = [shape for i in basis_functions.turning(s) for shape in by_pose.thresholds(s.position(i))]
         angles += basis_functions.pairs(by_pose, basis_functions.turning(s), 2)
         out = [BlockGroup(at, [*common, *basis_functions.at_location(by_pose, at, angles)]) for at in basis_functions.locations_of_arm(s)]
         return out + of_stations(by_pose) + of_scanner(by_centre)

@@ -81,21 +81,27 @@ def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     """
     out = list[tuple[str, list[str], float]]()
     if is_angle(depends_on):
-        own, turning = int(depends_on[1:]), {i + 1 for i in basis_functions.turning(s)}
+        own, turning = s.tags.index(depends_on[1:]), set(basis_functions.turning(s))
         together = [joints for joints in ((own,), (own - 1, own), (own, own + 1)) if turning.issuperset(joints)]
-        out = [(depends_on, [f"q{i}" for i in joints], 1.0) for joints in together]
+        out = [(depends_on, [s.position(i) for i in joints], 1.0) for joints in together]
     elif not depends_on.startswith("gravity_torque_"):
         return []
     gravity, moment = basis_functions.gravity_torque(s, location.frame), s.gravity_moment(location.frame)
     largest = max(float(np.linalg.norm(moment, axis=1).max()), 1e-12)
     varying = [
-        f"gravity_moment_{location.frame}_{axis}" for axis, x in zip("xyz", moment.T, strict=True) if np.ptp(x) > OPTIONS.varies * largest
+        f"gravity_moment_{s.frame_tags[location.frame]}_{axis}"
+        for axis, x in zip("xyz", moment.T, strict=True)
+        if np.ptp(x) > OPTIONS.varies * largest
     ]
     out += [(gravity, [name], largest) for name in varying]
     out += [(gravity, varying, largest)] if len(varying) > 1 else []
     # The rollers of a bearing, and a link that bends by itself, feel which way is down, whatever hangs behind them.
     down = s.gravity_direction(location.frame)
-    attitude = [f"gravity_direction_{location.frame}_{axis}" for axis, x in zip("xyz", down.T, strict=True) if np.ptp(x) > OPTIONS.varies]
+    attitude = [
+        f"gravity_direction_{s.frame_tags[location.frame]}_{axis}"
+        for axis, x in zip("xyz", down.T, strict=True)
+        if np.ptp(x) > OPTIONS.varies
+    ]
     out += [(gravity, [name], 1.0) for name in attitude]
     out += [(gravity, attitude, 1.0)] if len(attitude) > 1 else []
     every = [

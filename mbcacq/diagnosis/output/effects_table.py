@@ -22,13 +22,13 @@ from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.found_again import Repetitions, group_label
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters, joined_parameters, label_of
+from mbcacq.effects.effect import BREAKPOINT, JOINTS, ParameterEstimate, Parameters, joined_parameters, label_of
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K
 
-ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
+ONE_ENTRY = (*JOINTS, "link", "station")  # locations of which several make one entry of an effect
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
 MOST_GROUPS = 12  # whose sizes are stated
 SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero

@@ -4,7 +4,7 @@ A limit is of one parameter (an amplitude, a shift, a compliance) over a band of
 effects of that size, with a value from the band and any direction of the coefficients, would have shown more than this recording does
 (``upper_limit``).
 
-With the effect everything is free that it is confused with: geometry, what was found, the elasticity that every arm has, and the other
+Everything that the effect is confused with is free as well: geometry, what was found, the elasticity that every arm has, and the other
 effects at its location. A slow error of a gear and the elasticity of its joint may compensate each other, and a limit of one that takes
 the other for zero is false.
 

@@ -227,9 +227,9 @@ def of_lines(
     spread: HalfDifference = NO_DIFFERENCE,
     whole: ParameterEstimate | None = None,
 ) -> dict[str, ParameterEstimate]:
-    """The parameters with those lines of a joint alone that have a single order; where others are left out, or lines are not all of the
-    error, the rms of all together, which is determined whatever their orders. sigmas: (k,) of each order, and (k,) deg by which each phase
-    is less certain for it.
+    """The parameters without the lines of a joint that have more than one order. If lines were left out, or are not the whole error, the
+    rms of all together is added, which their orders do not change. sigmas: (k,) of each order, and (k,) deg that it adds to the
+    uncertainty of each phase.
     """
     columns = {name: np.array(parameters[f"{at}.{name}"].components) for name in LINE if f"{at}.{name}" in parameters}
     chosen = np.flatnonzero(single)

@@ -61,7 +61,7 @@ def reached(here: Covariates, name: str) -> tuple[float, float]:
     """Range of an angle (rad), or of a moment or direction of gravity, within the limits of the joints; and in the recording."""
     robot, recorded = here.obs.cell.robot, here.value(name)
     if is_angle(name):
-        ends = robot.limits[int(name[1:]) - 1]
+        ends = robot.limits[here.tags.index(name[1:])]
     else:
         q = np.random.default_rng(0).uniform(robot.limits[:, 0], robot.limits[:, 1], (DRAWN, robot.n))
         ends = Covariates(EffectModel(robot, measurement=here.obs.cell.measurement).poses(q)).value(name)

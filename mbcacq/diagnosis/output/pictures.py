@@ -29,6 +29,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import in_degrees
 
@@ -115,21 +116,22 @@ def at_centres(context: Context, name: str) -> np.ndarray | None:
 def axis_of(depends_on: str) -> tuple[str, str, float]:
     """Label, unit and factor to that unit of a covariate."""
     for pattern, label, unit, factor in (
-        (r"q(\d+)", "angle of A{}", "°", 180 / np.pi),
-        (r"gravity_torque_(\d+)", "gravity torque about A{}", "N·m", 1.0),
-        (r"direction_(\d+)", "direction of A{}'s last motion", "", 1.0),
+        (r"q(E?\d+)", "angle of {}", "°", 180 / np.pi),
+        (r"s(E?\d+)", "position of {}", "mm", 1.0),
+        (r"gravity_torque_(E?\d+)", "gravity torque about {}", "N·m", 1.0),
+        (r"direction_(E?\d+)", "direction of {}'s last motion", "", 1.0),
         (r"time", "time", "min", 1 / 60),
         (r"pose", "order of measurement", "", 1.0),
         (r"qd", "speed", "", 1.0),
-        (r"qd(\d+)", "speed of A{}", "°/s", 180 / np.pi),
-        (r"tau(\d+)", "motor torque of A{}", "N·m", 1.0),
+        (r"qd(E?\d+)", "speed of {}", "°/s", 180 / np.pi),
+        (r"tau(E?\d+)", "motor torque of {}", "N·m", 1.0),
         (r"([xyz])", "position in the view along {}", "mm", 1.0),
         (r"tilt", "tilt of the artefact in the view", "°", 180 / np.pi),
         (r"payload_kg", "payload", "kg", 1.0),
         (r"(.+)_C", "temperature {}", "°C", 1.0),
     ):
         if match := re.fullmatch(pattern, depends_on):
-            return label.format(*match.groups()).replace("_", " "), unit, factor
+            return label.format(*map(axis_of_tag, match.groups())).replace("_", " "), unit, factor
     return depends_on.replace("_", " "), "", 1.0
 
 
@@ -229,7 +231,7 @@ def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
     name, scale = ("µrad", 1e6) if rotation else ("µm", 1e3)
     axis = "xyz"[part.component % 3]
     if part.place == "joint":
-        return f"rotation of A{part.index + 1}", name, scale
+        return f"rotation of {at}", name, scale
     if part.place == "orientation":
         return f"measured orientation about {axis}", name, scale
     if part.place == "point":

@@ -54,8 +54,8 @@ class CrossValidation:
     def gain_std(self, gain: float) -> float:
         """Standard deviation of a share that is removed.
 
-        With an effect that changes predictions by d standard deviations of the noise, chi2 falls by d'd - 2 d'e: by d'd, with the
-        standard deviation 2 |d| that the misfit e has beside the noise.
+        An effect that changes predictions by d standard deviations of the noise lowers chi2 by d'd - 2 d'e, where e is the
+        remaining misfit: by d'd in the mean, with the standard deviation 2 |d|.
         """
         spread = max(self.after.chi2 / max(self.after.dof, 1), 1.0)
         return float(2.0 * np.sqrt(gain * spread / self._excess))

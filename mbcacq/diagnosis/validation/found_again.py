@@ -69,7 +69,7 @@ def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> fl
 
 
 def relative_spread(sizes: np.ndarray) -> float:
-    """Standard deviation of a size, relative to it, by those (n,) of disjoint parts."""
+    """Relative standard deviation of a size, from its values (n,) in disjoint parts."""
     return float(jackknife(sizes[:, None])[0] / max(sizes.mean(), 1e-300))
 
 
@@ -132,8 +132,8 @@ def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
 
 
 def pooled_ratio(stated: Parameters, spreads: Mapping[str, np.ndarray]) -> float:
-    """Root mean square, over all sizes of an effect, of what halves differ by relative to what is stated, no less than 1: two values alone
-    may agree by chance. Lines of a joint are pooled by ``output.orders``.
+    """Difference between halves over the stated one, root mean square over all sizes of an effect; at least 1, since two values may agree
+    by chance. Lines of a joint are pooled by ``output.orders``.
     """
     if any(name.endswith(ORDERS) for name in spreads):
         return 1.0

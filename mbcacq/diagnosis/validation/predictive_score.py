@@ -89,7 +89,7 @@ NO_CENTRES = PredictiveScore(0.0, 0, 0.0, 0.0)
 
 class HeldOutPrediction:
     """Geometry and the coefficients of a model fitted on train (M,) bool, evaluated on test (M,) bool. Only the stations that are not in
-    train are free there, and the moment of a change that fell among the poses left out. A pose is in one of both as a whole.
+    train are free there, and the moment of a change that fell among the poses left out. All centres of a pose are in train, or all in test.
     """
 
     def __init__(
@@ -193,7 +193,7 @@ class SharedProducts:
     """Products over each of some parts of the poses. joint: of the fit of all data, in whose linearisation and under whose noise all is;
     its own products follow.
 
-    Groups at all locations are a hundred times as many columns as effects, and the same without each part of the poses but for their sizes.
+    Groups at all locations have a hundred times as many columns as effects. Without a part of the poses only their sizes change.
     """
 
     def __init__(self, joint: JointModel, models: Sequence[tuple[EffectSet, Sequence[RandomEffect]]], left_out: Sequence[np.ndarray]):

@@ -50,27 +50,29 @@ def candidates(context: Context) -> list[Candidate]:
 
 def by_direction(context: Context, i: int) -> Candidate:
     """By the direction of the last motion of joint i: -1, 0 or 1."""
-    cause = f"direction_{i + 1}"
+    cause = f"direction_{context.tags[i]}"
     parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(parts, np.array([3e-5])), report_of(i), support=LARGEST)
+    return Candidate(NAME, (context.axes[i],), cause, StandstillRows(parts, np.array([3e-5])), report_of(context.axes[i]), support=LARGEST)
 
 
 def under_load(context: Context, i: int) -> Candidate:
     """By the gravity torque about joint i. A transition wider than a twentieth of its range would be compliance."""
-    values, cause = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(context.gravity_torque[:, i])], f"gravity_torque_{i + 1}"
+    values, cause = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(context.gravity_torque[:, i])], f"gravity_torque_{context.tags[i]}"
 
     def described(transition):
         return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
 
     hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([3e-5])), report_of(i), hyper, support=LARGEST)
+    return Candidate(
+        NAME, (context.axes[i],), cause, StandstillRows(described, np.array([3e-5])), report_of(context.axes[i]), hyper, support=LARGEST
+    )
 
 
-def report_of(i: int) -> Report:
+def report_of(axis: str) -> Report:
     """The width, whose half is the size of the coefficient."""
 
     def report(c, v, _):
-        return {f"A{i + 1}.width_deg": angle(2 * abs(c[0]), 2 * np.sqrt(v[0, 0]))}
+        return {f"{axis}.width_deg": angle(2 * abs(c[0]), 2 * np.sqrt(v[0, 0]))}
 
     return report
 
@@ -80,13 +82,15 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
-        axis, width, degrees = f"A{j + 1}", f"A{j + 1}.width_deg", float(in_degrees(1))
+        axis, width, degrees = group.axes[j], f"{group.axes[j]}.width_deg", float(in_degrees(1))
         by_direction = plain_report(width, scale=degrees)
-        out.append(Candidate(NAME, (axis,), f"direction_{j + 1}", MotionRows((j,), _by_direction), by_direction, positive=True))
+        out.append(Candidate(NAME, (axis,), f"direction_{group.tags[j]}", MotionRows((j,), _by_direction), by_direction, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
             by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
             hyper = Hyperparameter(f"{axis}.crossing_s", CROSSING_S, 2.0)
-            out.append(Candidate(NAME, (axis,), f"tau{j + 1}", MotionRows((j,), _by_load), by_load, hyper, positive=True, variant="load"))
+            out.append(
+                Candidate(NAME, (axis,), f"tau{group.tags[j]}", MotionRows((j,), _by_load), by_load, hyper, positive=True, variant="load")
+            )
     return out
 
 

@@ -32,8 +32,8 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
-        axis = f"A{j + 1}"
-        here = (axis,), f"qd{j + 1}"
+        axis = group.axes[j]
+        here = (axis,), f"qd{group.tags[j]}"
         lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
         loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
         out.append(Candidate(NAME, *here, MotionRows((j,), _lag), _lag_report(axis), lag, positive=True, variant="fast"))
@@ -66,7 +66,7 @@ def _lag(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
 
 
 def _total_delay(run: MotionSignals, joint: int) -> float:
-    """By how much (s) the actual angle is late in all: slope over the speed, fitted with the next terms of the series."""
+    """Total delay (s) of the actual angle: its slope over the speed, fitted together with the next terms of the series."""
     qd, qdd, qddd = (available(rate)[:, joint] for rate in (run.qd_set, run.qdd_set, run.qddd_set))
     rates = np.stack([-qd, qdd, -qddd, np.ones(len(run.q))], axis=1)
     scale = np.maximum(np.linalg.norm(rates, axis=0), 1e-300)

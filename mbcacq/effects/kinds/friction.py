@@ -29,14 +29,14 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         fastest = max(float(np.abs(run.qd[:, j]).max()) for run in runs)
         if fastest >= LEAST_SPEED:
             largest = max(float(np.abs(available(run.torque)[:, j]).max()) for run in runs)
-            out += _of_joint(j, fastest, largest, with_load=all(_load_changes(run, j) for run in runs))
+            out += _of_joint(group, j, fastest, largest, with_load=all(_load_changes(run, j) for run in runs))
     return out
 
 
-def _of_joint(j: int, fastest: float, largest: float, with_load: bool) -> list[Candidate]:
+def _of_joint(group: ChannelGroup, j: int, fastest: float, largest: float, with_load: bool) -> list[Candidate]:
     """fastest: rad/s, largest: torque in N m, of all recordings."""
-    axis = f"A{j + 1}"
-    here = (axis,), f"qd{j + 1}"
+    axis = group.axes[j]
+    here = (axis,), f"qd{group.tags[j]}"
     plain = plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad")
     stribeck = plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s")
     uneven = plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad")

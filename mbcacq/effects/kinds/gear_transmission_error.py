@@ -44,14 +44,22 @@ def candidates(context: Context) -> list[Candidate]:
             "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred, kind=ORDER
         )
         out.append(
-            Candidate(NAME, (f"A{i + 1}",), f"q{i + 1}", rows_of(i), report_of(f"A{i + 1}", q), hyper, several=True, support=LARGEST)
+            Candidate(
+                NAME,
+                (context.axes[i],),
+                f"q{context.tags[i]}",
+                rows_of(i, context.position(i)),
+                report_of(context.axes[i], q),
+                hyper,
+                several=True,
+                support=LARGEST,
+            )
         )
     return out
 
 
-def rows_of(i: int) -> StandstillRows:
-    """Sine and cosine of joint i."""
-    on = f"q{i + 1}"
+def rows_of(i: int, on: str) -> StandstillRows:
+    """Sine and cosine of joint i by its position."""
     return StandstillRows(lambda order: [DescribedPart("joint", i, 0, (sine(on, order), cosine(on, order)))], np.array([3e-5, 3e-5]))
 
 

@@ -57,15 +57,16 @@ THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the se
 def candidates(context: Context) -> list[Candidate]:
     """One candidate at A2 of three coefficients (rad): constant force, growing force, shift of the upright angle times the first."""
     robot = context.obs.cell.robot
-    upright = None if context.n < 3 else upright_angle(robot.chain, robot.gravity)
+    j = robot.axis("A2") or 1
+    upright = None if context.n < j + 2 else upright_angle(robot.chain, robot.gravity)
     if upright is None:
         raise Missing("A2 does not lift the arm against gravity")
     if robot.balancer is False:
         raise Missing("the arm has no balancer, as its description says")
     light = robot.mass.sum() < MEDIUM_KG
-    if robot.balancer is None and light and np.ptp(robot.limits[1]) >= WITHOUT_ROD:
+    if robot.balancer is None and light and np.ptp(robot.limits[j]) >= WITHOUT_ROD:
         raise Missing("A2 of this light arm turns all around, past where the rod of a balancer would be")
-    if np.ptp(context.obs.q[:, 1]) < LEAST_SPAN:
+    if np.ptp(context.obs.q[:, j]) < LEAST_SPAN:
         raise Missing("A2 turns too little for the law of a balancer")
 
     def described(ratio):
@@ -75,7 +76,7 @@ def candidates(context: Context) -> list[Candidate]:
         constant = (Product(1.0, (lever(0.0),)),)
         growing = (Product(1.0, (lever(0.0), Function("q2", "stretch", (upright, ratio)))),)
         turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
-        return [DescribedPart("joint", 1, 0, (constant, growing, turned))]
+        return [DescribedPart("joint", j, 0, (constant, growing, turned))]
 
     def report(c, v, _):
         first = c[0] if abs(c[0]) > 1e-30 else 1e-30
@@ -102,21 +103,22 @@ def usual(robot: RobotModel) -> PriorOdds | None:
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
-    if group.name != "tau" or 1 not in group.joints:
+    j = group.axes.index("A2") if "A2" in group.axes else -1
+    if group.name != "tau" or j not in group.joints:
         return []
-    weight = max(float(np.abs(available(run.gravity)[:, 1]).max()) for run in runs)  # the torque that a balancer has to balance
+    weight = max(float(np.abs(available(run.gravity)[:, j]).max()) for run in runs)  # the torque that a balancer has to balance
     first = plain_report("A2.sin_Nm", "A2.cos_Nm", "A2.sin2_Nm", "A2.cos2_Nm")
     third = plain_report("A2.sin3_Nm", "A2.cos3_Nm")
     out = [
-        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(1, 2), weight), first, variant="series"),
-        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(3), THIRD_HARMONIC * weight, extends=True), third, variant="third"),
+        Candidate(NAME, ("A2",), "q2", MotionRows((j,), _harmonics(1, 2), weight), first, variant="series"),
+        Candidate(NAME, ("A2",), "q2", MotionRows((j,), _harmonics(3), THIRD_HARMONIC * weight, extends=True), third, variant="third"),
     ]
     robot = runs[0].robot
     upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
     if upright is not None:
         sigma = (2.0 * weight, weight, 2.0 * weight * float(UPRIGHT_SIGMA))
         load = (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0))
-        rows = MotionRows((1,), _balancing(upright), sigma, usual=True, load_parameters=load)
+        rows = MotionRows((j,), _balancing(upright), sigma, usual=True, load_parameters=load)
         hyper = Hyperparameter("", LEVER_RATIOS, 1.0, refine=False)
         out.append(Candidate(NAME, ("A2",), "q2", rows, _balancing_report(upright), hyper, positive=True, variant="balancing"))
     return out

@@ -27,24 +27,23 @@ def candidates(context: Context) -> list[Candidate]:
     for i in range(context.n):
         if np.ptp(direction[:, i]) == 0 or np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             continue
-        load = Function(f"gravity_torque_{i + 1}")
-        size = (Function(f"direction_{i + 1}"), Function(f"gravity_torque_{i + 1}", "sign", ()), load)
+        load = Function(f"gravity_torque_{context.tags[i]}")
+        size = (Function(f"direction_{context.tags[i]}"), Function(f"gravity_torque_{context.tags[i]}", "sign", ()), load)
         parts = [DescribedPart("joint", i, 0, ((Product(1.0, size),),))]
         largest = float(np.abs(torque[:, i]).max())
         rows = StandstillRows(parts, np.array([5e-5 / max(largest, 1e-9)]))
         support = Support(LARGEST / max(largest, 1e-9), f"friction leaves no gearbox wound up by more than {LARGEST * 1e3:.0f} mrad")
-        out.append(Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", rows, report_of(i, largest), support=support))
+        out.append(
+            Candidate(NAME, (context.axes[i],), f"direction_{context.tags[i]}", rows, report_of(context.axes[i], largest), support=support)
+        )
     return out
 
 
-def report_of(i: int, largest: float) -> Report:
+def report_of(axis: str, largest: float) -> Report:
     """Full width at the largest torque of the recording, and half of it for each N m."""
 
     def report(c, v, _):
         half, std = float(abs(c[0])), float(np.sqrt(v[0, 0]))
-        return {
-            f"A{i + 1}.hysteresis_deg": angle(2 * half * largest, 2 * std * largest),
-            f"A{i + 1}.half_width_rad_per_Nm": number(half, std),
-        }
+        return {f"{axis}.hysteresis_deg": angle(2 * half * largest, 2 * std * largest), f"{axis}.half_width_rad_per_Nm": number(half, std)}
 
     return report

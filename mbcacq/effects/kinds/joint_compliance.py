@@ -31,13 +31,13 @@ def candidates(context: Context) -> list[Candidate]:
     for i in range(context.n):
         if np.ptp(torque[:, i]) < 0.02 * np.ptp(torque, axis=0).max() + 1e-9:
             continue  # a vertical axis feels no gravity
-        cause = f"gravity_torque_{i + 1}"
+        cause = f"gravity_torque_{context.tags[i]}"
         described = [DescribedPart("joint", i, 0, (linear(cause),))]
         most = float(np.abs(torque[:, i]).max())
         limit = f"no gearbox winds up by more than {LARGEST_WIND_UP * 1e3:.0f} mrad under the arm's own weight"
         support = Support(LARGEST_WIND_UP / most, limit)
-        size = {f"A{i + 1}.compliance_rad_per_Nm": TYPICAL if context.masses_known else TYPICAL_WIND_UP / most}
-        out.append(plain_effect(NAME, [f"A{i + 1}"], cause, described, size, positive=True, support=support))
+        size = {f"{context.axes[i]}.compliance_rad_per_Nm": TYPICAL if context.masses_known else TYPICAL_WIND_UP / most}
+        out.append(plain_effect(NAME, [context.axes[i]], cause, described, size, positive=True, support=support))
     return out
 
 
@@ -46,8 +46,10 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
-        report = plain_report(f"A{j + 1}.compliance_rad_per_Nm")
-        out.append(Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", MotionRows((j,), _columns, linear_in_load=True), report, positive=True))
+        report = plain_report(f"{group.axes[j]}.compliance_rad_per_Nm")
+        out.append(
+            Candidate(NAME, (group.axes[j],), f"tau{group.tags[j]}", MotionRows((j,), _columns, linear_in_load=True), report, positive=True)
+        )
     return out
 
 

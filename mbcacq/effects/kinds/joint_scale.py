@@ -32,14 +32,17 @@ def candidates(context: Context) -> list[Candidate]:
         if np.ptp(context.obs.q[:, i]) > 0.02:
             cause = context.position(i)
             parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-            out.append(plain_effect(NAME, [f"A{i + 1}"], cause, parts, {f"A{i + 1}.ratio": 1e-4}))
+            out.append(plain_effect(NAME, [context.axes[i]], cause, parts, {f"{context.axes[i]}.ratio": 1e-4}))
     return out
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint":
         return []
-    return [Candidate(NAME, (f"A{j + 1}",), f"q{j + 1}", MotionRows((j,), _columns), plain_report(f"A{j + 1}.ratio")) for j in group.joints]
+    return [
+        Candidate(NAME, (group.axes[j],), f"q{group.tags[j]}", MotionRows((j,), _columns), plain_report(f"{group.axes[j]}.ratio"))
+        for j in group.joints
+    ]
 
 
 def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:

@@ -20,8 +20,8 @@ TYPICAL = 5e-5  # rad: 50 um at a metre, as brakes and belts leave
 
 
 def candidates(context: Context) -> list[Candidate]:
-    """For each joint, what it is off by after a pause, at the beginning of a visit, or fading with the time since a pause; in its own
-    direction, or to the side to which the weight pulls. Coefficients in rad.
+    """For each joint its error after a pause, at the beginning of a visit, or fading with the time since a pause. It is in a direction of
+    its own, or to the side to which the weight pulls. Coefficients in rad.
     """
     histories = [*_by_time(context), *_by_visit(context)]
     if not histories:
@@ -30,23 +30,25 @@ def candidates(context: Context) -> list[Candidate]:
     out = []
     for i in np.flatnonzero(np.ptp(context.obs.q, axis=0) > 0).tolist():
         pulls = context.masses_known and np.any(torque[:, i] > 0) and np.any(torque[:, i] < 0)
-        sides = {"": None, " under load": of(f"gravity_torque_{i + 1}", "sign")} if pulls else {"": None}
+        sides = {"": None, " under load": of(f"gravity_torque_{context.tags[i]}", "sign")} if pulls else {"": None}
         for cause, function, hyper in histories:
             for side, sign in sides.items():
-                out.append(of_joint(i, cause, function, hyper, sign, f"{cause}{side}"))
+                out.append(of_joint((i, context.axes[i]), cause, function, hyper, sign, f"{cause}{side}"))
     return out
 
 
-def of_joint(i: int, cause: str, function: str, hyper: Hyperparameter, sign: Column | None, variant: str) -> Candidate:
+def of_joint(joint: tuple[int, str], cause: str, function: str, hyper: Hyperparameter, sign: Column | None, variant: str) -> Candidate:
+    i, axis = joint
+
     def described(value: float) -> list[DescribedPart]:
         column = of(cause, function, value)
         return [DescribedPart("joint", i, 0, (column if sign is None else times(column, sign),))]
 
     def report(c: np.ndarray, v: np.ndarray, at: HyperEstimate) -> Parameters:
-        sag = {f"A{i + 1}.sag_deg": angle(c[0], np.sqrt(v[0, 0]))}
-        return sag | {f"A{i + 1}.{hyper.name}": number(at.value, at.std)}
+        sag = {f"{axis}.sag_deg": angle(c[0], np.sqrt(v[0, 0]))}
+        return sag | {f"{axis}.{hyper.name}": number(at.value, at.std)}
 
-    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([TYPICAL])), report, hyper, variant=variant)
+    return Candidate(NAME, (axis,), cause, StandstillRows(described, np.array([TYPICAL])), report, hyper, variant=variant)
 
 
 def _by_time(context: Context) -> list[tuple[str, str, Hyperparameter]]:

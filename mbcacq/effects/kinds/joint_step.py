@@ -23,12 +23,12 @@ def candidates(context: Context) -> list[Candidate]:
     def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
             return {
-                f"A{i + 1}.at_pose": number(over_time.pose_at(context, rank.value), 0.5),
-                f"A{i + 1}.step_deg": angle(c[0], np.sqrt(v[0, 0])),
+                f"{context.axes[i]}.at_pose": number(over_time.pose_at(context, rank.value), 0.5),
+                f"{context.axes[i]}.step_deg": angle(c[0], np.sqrt(v[0, 0])),
             }
 
         support = ANY_SIZE if context.obs.cell.robot.drive(i) in SKIPPING else LARGEST
         rows = StandstillRows(lambda rank: [DescribedPart("joint", i, 0, (of("pose", "step", rank),))], np.array([1e-4]))
-        return Candidate(NAME, (f"A{i + 1}",), "pose", rows, report, hyper, support=support)
+        return Candidate(NAME, (context.axes[i],), "pose", rows, report, hyper, support=support)
 
     return [of_joint(i) for i in range(context.n)]

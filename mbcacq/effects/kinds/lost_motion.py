@@ -49,7 +49,7 @@ def stiffnesses(joint: str, compliance: np.ndarray, covariance: np.ndarray) -> P
 
 
 def of_joint(context: Context, i: int) -> Candidate:
-    tau, cause = context.gravity_torque[:, i], f"gravity_torque_{i + 1}"
+    tau, cause = context.gravity_torque[:, i], f"gravity_torque_{context.tags[i]}"
     values = SHARES * np.abs(tau).max()
 
     def described(at):
@@ -58,13 +58,13 @@ def of_joint(context: Context, i: int) -> Candidate:
     def report(c, v, at):
         h, std = float(c[0]), float(np.sqrt(v[0, 0]))
         return {
-            f"A{i + 1}.lost_motion_deg": angle(2 * h, 2 * std),
-            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at.value, std / at.value),
-            f"A{i + 1}.{TORQUE}": number(at.value, at.value * std / max(abs(h), 1e-30)),
+            f"{context.axes[i]}.lost_motion_deg": angle(2 * h, 2 * std),
+            f"{context.axes[i]}.excess_compliance_rad_per_Nm": number(h / at.value, std / at.value),
+            f"{context.axes[i]}.{TORQUE}": number(at.value, at.value * std / max(abs(h), 1e-30)),
         }
 
     rows, hyper = StandstillRows(described, np.array([LEAST_TYPICAL])), Hyperparameter(TORQUE, values, 3.0, kind=BREAKPOINT)
-    return Candidate(NAME, (f"A{i + 1}",), cause, rows, report, hyper, positive=True, several=True, support=LARGEST)
+    return Candidate(NAME, (context.axes[i],), cause, rows, report, hyper, positive=True, several=True, support=LARGEST)
 
 
 DECLARED = Declaration(

@@ -37,7 +37,7 @@ def candidates(context: Context) -> list[Candidate]:
     typical = np.array([0.03] * 3 + [1e-4] * 3)[: len(components)]
     out = []
     for azimuth, elevation in dict.fromkeys([*LINES, *_lines_of_residual(context)]):
-        cause = f"gravity_along_{context.n}_{azimuth}_{elevation}"
+        cause = f"gravity_along_{context.tags[-1]}_{azimuth}_{elevation}"
         along = context.value(cause)
         values = np.array([at for at in FALLS if min(np.sum(along > at), np.sum(along < at)) >= FEWEST])
         if len(values):

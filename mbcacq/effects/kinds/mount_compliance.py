@@ -25,7 +25,7 @@ def candidates(context: Context) -> list[Candidate]:
     moment = [moment_about(c, com * 1e-3) for c in range(3)]
     tilt = [DescribedPart("frame", context.n, 3 + c, (moment[c],)) for c in range(3)]
     shift = [DescribedPart("frame", context.n, c, (linear(f"payload_force_{axis}"),)) for c, axis in enumerate("xyz")]
-    cause = f"gravity_torque_{context.n}"
+    cause = f"gravity_torque_{context.tags[-1]}"
     weight = float(np.linalg.norm(context.payload_force, axis=1).max())
     lever = max(float(np.linalg.norm(com)) * 1e-3, 1e-9)
     return [

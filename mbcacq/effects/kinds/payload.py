@@ -41,17 +41,18 @@ def loaded_joints(context: Context) -> list[int]:
 
 def loaded_locations(context: Context) -> list[Where]:
     """The same as locations."""
-    return [(f"A{i + 1}",) for i in loaded_joints(context)]
+    return [(context.axes[i],) for i in loaded_joints(context)]
 
 
 def under_load(context: Context, compliance: Candidate, coefficients: np.ndarray, number: str) -> Candidate:
     """An elastic joint under the torque of the declared tool and of an error (4,) of it."""
     (at,) = compliance.where
-    column: Column = linear(f"gravity_torque_{at[1:]}")
+    joint, tag = context.axes.index(at), at.removeprefix("A")
+    column: Column = linear(f"gravity_torque_{tag}")
     for load, size in zip(LOADS, coefficients, strict=True):
-        column += scaled(linear(f"payload_torque_{at[1:]}_{load}"), float(size))
+        column += scaled(linear(f"payload_torque_{tag}_{load}"), float(size))
     variant = f"heavy {number} {','.join(f'{c:.9g}' for c in coefficients)}"
-    rows = replace(compliance.rows, described=[DescribedPart("joint", int(at[1:]) - 1, 0, (column,))])
+    rows = replace(compliance.rows, described=[DescribedPart("joint", joint, 0, (column,))])
     return replace(compliance, rows=rows, variant=variant)
 
 
@@ -72,22 +73,22 @@ def correction_for(
     every elastic joint is among those given. Otherwise each other loaded joint gets a free compliance: it is as soft as any, though
     perhaps too little loaded to be found by itself, and the mass would take its part.
     """
-    compliance = {int(at[1:]) - 1: value for (at,), value in compliances.items()}
+    compliance = {context.axes.index(at): value for (at,), value in compliances.items()}
     if not context.masses_known or not compliance or not context.scanner_on_flange:
         return []
     elastic, softest = dict(compliance), max(compliance.values())
     beyond = [] if complete else [i for i in loaded_joints(context) if i not in elastic]
     parts = []
     for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
-        own = [linear(f"gravity_torque_{i + 1}") if i == j else ZERO for j in beyond]
-        load = [linear(f"payload_torque_{i + 1}_{what}", float(c)) for what in LOADS]
+        own = [linear(f"gravity_torque_{context.tags[i]}") if i == j else ZERO for j in beyond]
+        load = [linear(f"payload_torque_{context.tags[i]}_{what}", float(c)) for what in LOADS]
         parts.append(DescribedPart("joint", i, 0, (*load, *own)))
     mass, com = float(np.mean(context.payload_mass)), context.obs.cell.robot.payload_com
 
     def report(c, v, _):
         out = dict(tool(mass, com, c[:4], v[:4, :4] if spread is None else spread))
         for k, i in enumerate(beyond, start=4):
-            out[f"A{i + 1}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
+            out[f"{context.axes[i]}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
         return out
 
     label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))

@@ -42,7 +42,9 @@ def with_temperature(context: Context, i: int, column: str, temperature: np.ndar
     change = (Product(1.0, (Function(column),)), Product(-first))
     parts = [DescribedPart("frame", i + 1, c, (scaled(change, along[c]),)) for c in range(3) if abs(along[c]) > 1e-6]
     largest = largest_growth(context, i) / max(float(np.ptp(temperature)), 1e-9)
-    return plain_effect(NAME, [f"link{i + 1}"], column, parts, {f"link{i + 1}.growth_mm_per_K": 0.01}, support=Support(largest, LIMIT))
+    return plain_effect(
+        NAME, [f"link{context.tags[i]}"], column, parts, {f"link{context.tags[i]}.growth_mm_per_K": 0.01}, support=Support(largest, LIMIT)
+    )
 
 
 def largest_growth(context: Context, i: int) -> float:
@@ -61,9 +63,9 @@ def with_warm_up(context: Context, i: int) -> Candidate:
 
     def report(c, v, tau):
         return {
-            f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
-            f"link{i + 1}.time_constant_s": number(tau.value, time_constant_std(tau.value, c, v)),
+            f"link{context.tags[i]}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
+            f"link{context.tags[i]}.time_constant_s": number(tau.value, time_constant_std(tau.value, c, v)),
         }
 
     support = Support(largest_growth(context, i), LIMIT)
-    return Candidate(NAME, (f"link{i + 1}",), "time", StandstillRows(described, np.array([0.1])), report, hyper, support=support)
+    return Candidate(NAME, (f"link{context.tags[i]}",), "time", StandstillRows(described, np.array([0.1])), report, hyper, support=support)

@@ -26,5 +26,5 @@ def candidates(context: Context) -> list[Candidate]:
         change = (Product(1.0, (Function(name),)), Product(-float(values[np.argmin(context.order)])))
         for i in range(context.n):
             part = DescribedPart("joint", i, 0, (change,))
-            out.append(plain_effect(NAME, [f"A{i + 1}"], name, [part], {f"A{i + 1}.zero_rad_per_K": TYPICAL}, support=LARGEST))
+            out.append(plain_effect(NAME, [context.axes[i]], name, [part], {f"{context.axes[i]}.zero_rad_per_K": TYPICAL}, support=LARGEST))
     return out

@@ -24,8 +24,8 @@ def candidates(context: Context) -> list[Candidate]:
     pairs = [(i, j) for i in range(first, context.n) for j in range(first, context.n) if i != j and np.ptp(context.obs.q[:, i]) > 0.02]
     out = []
     for i, j in pairs:
-        parts = [DescribedPart("joint", j, 0, (linear(f"q{i + 1}"),))]
-        out.append(plain_effect(NAME, [f"A{i + 1}", f"A{j + 1}"], f"q{i + 1}", parts, {"ratio": 1e-4}))
+        parts = [DescribedPart("joint", j, 0, (linear(f"q{context.tags[i]}"),))]
+        out.append(plain_effect(NAME, [context.axes[i], context.axes[j]], f"q{context.tags[i]}", parts, {"ratio": 1e-4}))
     return out
 
 
@@ -35,7 +35,9 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     wrist = range(FIRST_WRIST_JOINT, JOINTS)
     pairs = [(j, other) for j in group.joints if j in wrist for other in wrist if other != j]
     return [
-        Candidate(NAME, (f"A{other + 1}", f"A{j + 1}"), f"q{other + 1}", MotionRows((j,), _columns(other)), plain_report("ratio"))
+        Candidate(
+            NAME, (group.axes[other], group.axes[j]), f"q{group.tags[other]}", MotionRows((j,), _columns(other)), plain_report("ratio")
+        )
         for j, other in pairs
     ]
 

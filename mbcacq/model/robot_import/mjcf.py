@@ -111,7 +111,7 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
 
 
 def _compiled(path: Path) -> _Model:
-    """The model; where its meshes or pictures are not beside it, without any shape, for kinematics needs none. Raises ConfigError."""
+    """The model. It has no shapes if its meshes or pictures are missing, since kinematics needs none. Raises ConfigError."""
     mujoco: Any = import_module("mujoco")
     try:
         model = mujoco.MjModel.from_xml_path(str(path.resolve()))  # what an included file names is looked for twice below a relative path

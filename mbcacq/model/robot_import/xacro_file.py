@@ -95,7 +95,7 @@ def _found_by(finder: _Packages) -> Iterator[None]:
 
 
 class _Packages:
-    """Folders of packages: named ones, those above the file and beside them, those that ROS has in its environment."""
+    """Folders of packages: named ones, those above the file with their neighbours, and those in the environment of ROS."""
 
     def __init__(self, path: Path, named: Mapping[str, Path]) -> None:
         self._path, self._named = path.resolve(), named
@@ -120,14 +120,14 @@ class _Packages:
 
     def _by_folder(self, package: str) -> Path | None:
         """A package that was copied without its package.xml is recognised by its folder, above the file or beside such folders. The name of
-        a folder above may also begin as the package's does (kuka_kr6 for kuka_kr6_support), or the other way round."""
+        a folder above may also be the beginning of the package's (kuka_kr6 for kuka_kr6_support), or the reverse."""
         near = self._path.parents[:NEAR]
         beside = (f / package for f in near)
         alike = (f for f in near if len(f.name) >= SHORTEST_NAME and (package.startswith(f"{f.name}_") or f.name.startswith(f"{package}_")))
         return next((f for f in near if f.name == package), None) or next((f for f in beside if f.is_dir()), None) or next(alike, None)
 
     def _around(self) -> Iterator[tuple[str, Path]]:
-        """Packages by name, the nearest last: what stands in the folders above the outermost package, then what is above the file."""
+        """Packages by name. The nearest come last: first those in the folders above the outermost package, then those above the file."""
         above = [f for f in self._path.parents if (f / PACKAGE).is_file()]
         if above:
             outermost = above[-1].parent

@@ -91,7 +91,7 @@ class MotionProgram:
         return [
             f"Plan {plain(self.plan)} ({self.digest}) for {plain(self.robot)}, written by mbcacq.",
             f"{len(self.exposures)} poses, {clouds} clouds; {self.speed_percent} % of the axes' speeds.",
-            "Nobody has run this program. First in T1 or at reduced speed, step by step,",
+            "Nobody has run this program. First in the slow manual mode, step by step,",
             "a hand on the enabling switch. The load data of the scanner must be set.",
         ]
 

@@ -193,7 +193,7 @@ def standstills(t: np.ndarray, value: np.ndarray, within: float, still: RestRule
 
 
 def even_times(t: np.ndarray) -> tuple[np.ndarray, str]:
-    """Times of a log without its bursts, and a sentence on them; as they are where there are none."""
+    """Times of a log without its bursts, and a sentence on them; unchanged times without bursts."""
     step = np.diff(t)
     if (step < BURST_STEP * step.mean()).mean() < BURST_SHARE:
         return t, ""

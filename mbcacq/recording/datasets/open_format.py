@@ -72,7 +72,7 @@ def misspelt(kind: Any, data: Any, path: tuple[int | str, ...] = ()) -> Iterator
 
 
 def _resembled(key: str, known: list[str]) -> str | None:
-    """The known key of which this one is a slip: letters, capitals, or the unit are different."""
+    """The known key that a misspelt one means: it differs in letters, capitals or the unit."""
     plain = {name.lower().replace("-", "_"): name for name in known}
     lower = key.lower().replace("-", "_").replace(" ", "_")
     if lower in plain:

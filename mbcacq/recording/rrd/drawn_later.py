@@ -25,7 +25,7 @@ class DrawnLater:
         self._rows: list[tuple[dict[str, Mapping[str, Any]], str, tuple[Any, ...]]] = []
 
     def set_time(self, timeline: str, **value: Any) -> None:
-        """As of the stream, which has it too."""
+        """Set the time of the stream, and of all that is drawn later."""
         self._rec.set_time(timeline, **value)
         self._times[timeline] = value
 

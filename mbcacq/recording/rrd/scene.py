@@ -39,7 +39,7 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
         _log_arm(rec, cell.robot.chain)
     if view:
         _log_scanner(rec, _field_of_view(plan_yaml))
-    log_series(rec, cell.robot.n)
+    log_series(rec, cell.robot.axes)
     states = {
         "connecting": (130, 130, 130),
         "moving": (86, 180, 233),
@@ -52,16 +52,15 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
     rec.log(layout.STATE, rr.StateConfiguration(values=list(states), labels=list(states), colors=list(states.values())), static=True)
 
 
-def log_series(rec: rr.RecordingStream, n: int) -> None:
+def log_series(rec: rr.RecordingStream, axes: tuple[str, ...]) -> None:
     """Names and colours of the curves. Set points are broad and pale, measured values are thin lines on top of them."""
-    axes = [f"A{i + 1}" for i in range(n)]
-    colours = (CURVES * 2)[:n]
+    colours = (CURVES * 2)[: len(axes)]
     for entity in (layout.JOINTS, layout.FOLLOWING, layout.CURRENT):
         rec.log(entity, rr.SeriesLines(names=axes, colors=colours, widths=[1.3]), static=True)
     rec.log(
         layout.SET, rr.SeriesLines(names=[f"{a} commanded" for a in axes], colors=[(*c, 90) for c in colours], widths=[4.0]), static=True
     )
-    log_axes_key(rec, n)
+    log_axes_key(rec, axes)
     rec.log(
         layout.PERIOD,
         rr.SeriesLines(names=["controller, ms", "this computer, ms"], colors=[CURVES[0], CURVES[1]], widths=[1.3]),
@@ -76,11 +75,11 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
         rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
 
 
-def log_axes_key(rec: rr.RecordingStream, n: int) -> None:
-    """Names and colours of the n axes, shown beside their curves."""
+def log_axes_key(rec: rr.RecordingStream, axes: tuple[str, ...]) -> None:
+    """Names and colours of the axes, shown beside their curves."""
+    n = len(axes)
     places = np.column_stack([np.zeros(n), 30.0 * np.arange(n)])
-    names = [f"A{i + 1}" for i in range(n)]
-    rec.log(layout.AXES_KEY, rr.Points2D(places, colors=(CURVES * 2)[:n], radii=8.0, labels=names, show_labels=True), static=True)
+    rec.log(layout.AXES_KEY, rr.Points2D(places, colors=(CURVES * 2)[:n], radii=8.0, labels=axes, show_labels=True), static=True)
 
 
 def log_ball_series(rec: Stream, cell: Cell) -> None:

@@ -149,7 +149,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
     with replacing(path) as partial, into_file(stream, partial):
         send_default_blueprint(stream, for_cell(cell, plan, enlarged(sources)))
         stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
-        log_axes_key(stream, cell.robot.n)  # an older recording has none,
+        log_axes_key(stream, cell.robot.axes)  # an older recording has none,
         log_texts(stream, plan, cell_yaml)  # nor these
     return [path, *sources]
 

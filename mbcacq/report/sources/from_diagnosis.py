@@ -209,7 +209,7 @@ def _map(fields: list[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndar
 def _natural(name: str) -> tuple[int, str, int]:
     """Sort key: joints, links, base, mount, scanner, balls, stations, each by number."""
     stem = name.rstrip("0123456789")
-    order = ["q", "gravity_torque_", "direction_", "time", "pose", "A", "link", "base", "mount", "scanner", "ball", "station"]
+    order = ["q", "gravity_torque_", "direction_", "time", "pose", "s", "E", "A", "link", "base", "mount", "scanner", "ball", "station"]
     number = name[len(stem) :]
     rank = next((k for k, o in enumerate(order) if stem.startswith(o)), len(order)) if stem not in order else order.index(stem)
     return rank, stem, int(number) if number else 0

@@ -269,7 +269,7 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
         error, value = factor * float(p["error"]), factor * float(p["value"])
         group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
         if group is None:
-            group = "Kinematics, MD-H" if re.fullmatch(r"(theta|d|a|alpha|beta)_\d+", name) else "Effects"
+            group = "Kinematics, MD-H" if re.fullmatch(r"(theta|d|a|alpha|beta)_E?\d+", name) else "Effects"
         uncertainty = None if p.get("std") is None else K * factor * float(p["std"])
         correction_only = rotation or group == "Effects"
         held = str(p.get("reason") or "held") if p["status"] == "held" else None
@@ -307,7 +307,12 @@ def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
         out.append(("poses of the flange, about x, y, z of the base", listed([1e6 * v for v in carrier[3:]]) + " µrad"))
     else:
         slides = set(result["robot"].get("sliding", ()))
-        out.append(("joint repeatability, A1 …", listed([1e6 * v for i, v in enumerate(carrier) if i not in slides]) + " µrad"))
+        out.append(
+            (
+                "joint repeatability, A1 …" if not slides else "repeatability of the axes that turn",
+                listed([1e6 * v for i, v in enumerate(carrier) if i not in slides]) + " µrad",
+            )
+        )
         if slides:
             out.append(("repeatability of the axes that slide", listed([1e3 * carrier[i] for i in sorted(slides)]) + " µm"))
     if noise.get("turn_rad") is not None:
