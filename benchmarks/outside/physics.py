@@ -38,18 +38,21 @@ def twisted(twist: np.ndarray) -> np.ndarray:
 
 @dataclass
 class World:
-    """A cell as it is. q: (P, n) reported angles; joint (P, n) rad, base and mount (P, 6) and air (P,) are displaced by the physics."""
+    """A cell as it is. q: (P, n) reported angles; joint (P, n) rad, base and mount (P, 6) and air (P,) are displaced by the physics, and
+    ``behind`` (P, n, 3) mm moves the frame behind each link in its own axes."""
 
     obs: Observations
     rng: np.random.Generator
     joint: np.ndarray = field(init=False)
     base: np.ndarray = field(init=False)
     mount: np.ndarray = field(init=False)
+    behind: np.ndarray = field(init=False)
     air: np.ndarray = field(init=False)  # 1/mm, curvature of a ray across its way, towards the zenith
 
     def __post_init__(self) -> None:
         P, n = self.obs.q.shape
         self.joint, self.base, self.mount, self.air = np.zeros((P, n)), np.zeros((P, 6)), np.zeros((P, 6)), np.zeros(P)
+        self.behind = np.zeros((P, n, 3))
 
     @property
     def q(self) -> np.ndarray:
@@ -72,8 +75,8 @@ class World:
         begun = np.sort(self.obs.time_s[self.gap_s > PAUSE_S[0] / 2])
         return self.obs.time_s - begun[np.searchsorted(begun, self.obs.time_s, side="right") - 1]
 
-    def frames(self, q: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
-        """(P, n + 1, 4, 4) from the base to the frame behind each link. rows: (n, 5) theta, d, a, alpha, beta."""
+    def frames(self, q: np.ndarray, rows: np.ndarray | None = None, behind: np.ndarray | None = None) -> np.ndarray:
+        """(P, n + 1, 4, 4) from the base to the frame behind each link. rows: (n, 5) theta, d, a, alpha, beta; behind: as the field."""
         chain = self.obs.cell.robot.chain
         out = [np.tile(np.eye(4), (len(q), 1, 1))]
         for i, (theta, d, a, alpha, beta) in enumerate(chain.rows if rows is None else rows):
@@ -83,6 +86,8 @@ class World:
             T = np.tile(np.eye(4), (len(q), 1, 1))
             R = turns(turn)
             T[:, :3, :3], T[:, :3, 3] = R @ bend, R @ np.array([a, 0.0, 0.0]) + np.array([0.0, 0.0, d])
+            if behind is not None:
+                T[:, :3, 3] += np.einsum("pij,pj->pi", T[:, :3, :3], behind[:, i])
             out.append(out[-1] @ T)
         return np.stack(out, axis=1)
 
@@ -118,7 +123,7 @@ class World:
         deviating = rows + rng.normal(0, 1, rows.shape) * [3e-4, 0.15, 0.15, 3e-4, 0.0]
         hand_eye = cell.T_flange_scanner @ twisted(rng.normal(0, 1, (1, 6)) * [0.5, 0.5, 0.5, 2e-3, 2e-3, 2e-3])[0]
         q = self.q + self.joint + rng.normal(0, JOINT_NOISE, self.q.shape)
-        T = twisted(self.base) @ self.frames(q, deviating)[:, -1] @ twisted(self.mount) @ hand_eye
+        T = twisted(self.base) @ self.frames(q, deviating, self.behind)[:, -1] @ twisted(self.mount) @ hand_eye
         nominal = self.frames(self.q)[:, -1] @ cell.T_flange_scanner
         stations = np.zeros((len(cell.stations), 4, 4))
         balls = cell.ball_centres[obs.ball]
@@ -269,6 +274,44 @@ def last_way(w: World, size: float) -> tuple[str, ...]:
     return (f"A{i + 1}",)
 
 
+def bearing_run_out(w: World, size: float) -> tuple[str, ...]:
+    """An oval bearing lifts what it carries along its axis twice a turn, more on the side to which the load presses it."""
+    i = int(w.rng.choice([1, 2, 3]))
+    pressed = 1.0 + 0.5 * np.tanh(3.0 * w.torque[:, i] / np.abs(w.torque[:, i]).max())
+    lift = 0.2 * size * pressed * np.cos(2 * w.q[:, i] + w.rng.uniform(0, 6.28))
+    bend = w.obs.cell.robot.chain.rows[i, 3]
+    w.behind[:, i] += lift[:, None] * (turns(np.array([[-bend, 0.0, 0.0]]))[0] @ UP)
+    return f"link{i + 1}", f"A{i + 1}"
+
+
+def cable_at_wrist(w: World, size: float) -> tuple[str, ...]:
+    """A cable over the wrist drags its three axes; it slips along its guides, so that its pull depends on the way of the arm (play)."""
+    wound, hold = w.q[:, 3] + w.q[:, 4] + w.q[:, 5], 1.5
+    listed, slack, at = np.argsort(w.obs.time_s), np.zeros(len(wound)), float(wound.min())
+    for pose in listed:
+        at = float(np.clip(at, wound[pose] - hold, wound[pose] + hold))
+        slack[pose] = wound[pose] - at
+    w.joint[:, 3:6] -= 1.2e-3 * size * (slack / hold)[:, None] * np.array([0.6, 1.0, 0.8])
+    return "A4", "A5", "A6"
+
+
+def loaded_strain_wave(w: World, size: float) -> tuple[str, ...]:
+    """A strain wave gear that was bent: the error of its oval, four times a turn of the joint, grows with the torque and turns with it."""
+    i = int(w.rng.choice([1, 2]))
+    w.joint[:, i] += 2.5e-4 * size * w.torque[:, i] / np.abs(w.torque[:, i]).max() * np.sin(4 * w.q[:, i] + w.rng.uniform(0, 6.28))
+    return (f"A{i + 1}",)
+
+
+def warming_link(w: World, size: float) -> tuple[str, ...]:
+    """A link grows along itself as the motor in it warms up; the temperature that is recorded follows it."""
+    rows = w.obs.cell.robot.chain.rows
+    i = int(np.argmax(rows[:, 2])) if w.rng.uniform() < 0.5 else 3
+    _, d, a, alpha, _ = rows[i]
+    along = turns(np.array([[-alpha, 0.0, 0.0]]))[0] @ np.array([a, 0.0, d]) / np.hypot(a, d)
+    w.behind[:, i] += 0.12 * size * ((w.obs.temperatures["robot_C"] - 24.0) / 9.0)[:, None] * along
+    return (f"link{i + 1}",)
+
+
 SETTLING, SLACK = frozenset({"joint_settling"}), frozenset({"lost_motion"})
 KINDS = {
     "two_angles": Kind(two_angles),
@@ -283,4 +326,8 @@ KINDS = {
     "warm_zero": Kind(warm_zero, (frozenset({"thermal_zero_shift"}),)),
     "hose_at_mount": Kind(hose_at_mount),
     "last_way": Kind(last_way),
+    "bearing_run_out": Kind(bearing_run_out),
+    "cable_at_wrist": Kind(cable_at_wrist),
+    "loaded_strain_wave": Kind(loaded_strain_wave),
+    "warming_link": Kind(warming_link, (frozenset({"thermal_growth"}),)),
 }

@@ -15,7 +15,7 @@ from mbcacq.calibration.length_budget import length_budget
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter, adjusted_fit, parameters_of
 from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_file, result_of
 from mbcacq.calibration.sufficiency import refuse_other_arm
-from mbcacq.calibration.verification import Limits, Verification, judge, verification_poses
+from mbcacq.calibration.verification import Verification, judge, verification_poses
 from mbcacq.calibration.verified_lengths import verified_lengths
 from mbcacq.calibration.workspace_accuracy import arm_indices, expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
@@ -304,7 +304,7 @@ class CalibratedCell(CellEstimate):
         found = verified_lengths(self, self.preliminary, observations, limit_mm)
         took_part = self.took_part(verification_poses(observations))
         found = replace(found, independent=None if took_part is None else not took_part)
-        figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=limit_mm), found)
+        figures = judge(observations, self.state, self.effects, found)
         return replace(found, figures=tuple(figures))
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:

@@ -297,11 +297,6 @@ def distances_only(obs: Observations) -> CellState:
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 
-def maximum_likelihood(obs: Observations) -> CalibratedCell:
-    """Everything at once by maximum likelihood."""
-    return calibrate(obs)
-
-
 def geometry_alone(obs: Observations) -> CellState | CalibratedCell:
     """All parameters by maximum likelihood; whatever else the arm does counts as noise."""
     return _with_instrument(obs, calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)))
@@ -318,7 +313,7 @@ COMPARED_METHODS: dict[str, Callable[[Observations], CellState | CalibratedCell]
     "paper (all pairs)": staged_method("all"),
     "distances only": distances_only,
     "geometry alone": geometry_alone,
-    "maximum likelihood": maximum_likelihood,
+    "maximum likelihood": calibrate,
 }
 
 

@@ -300,47 +300,26 @@ def pairs_of_balls(where: Iterable[tuple[int, int]]) -> list[tuple[int, int, int
     return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1 :] if t == s]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Largest permitted errors in mm; None: not judged."""
-
-    sphere_spacing_error_mm: float | None = None
-    probing_error_form_mm: float | None = None
-    probing_error_size_mm: float | None = None
-    length_measuring_error_mm: float | None = None
-
-
-def judge(
-    observations: Observations, state: CellState, effects: EffectModel | None, limits: Limits, verification: Verification
-) -> list[JudgedFigure]:
+def judge(observations: Observations, state: CellState, effects: EffectModel | None, verification: Verification) -> list[JudgedFigure]:
     """The four figures of a calibrated cell and its verification, from the verification poses (where there are none, only what can be said
-    is said).
+    is said). The first is held against the verification's limit.
 
     Form: the range of distances from the fitted sphere cannot be had from centres; four times the rms of the fits (95 % of a normal
     distribution) stands for it. Size: needs measured diameters, which an observation set does not hold. Length: largest error
     between two balls of one station, over every pair of single scans, so that repeats do not average. Lengths are judged with the
     uncertainty of ``length_budget``.
     """
-    obs = verification_poses(observations)
-    spacing, judging = verification.errors("after"), [p.judging_mm for p in verification.places]
+    obs, spacing, limit = verification_poses(observations), verification.errors("after"), verification.limit_mm
     sigma = None if verification.budget is None else verification.budget.combined_mm
-    form = 4 * float(np.nanmax(obs.rms_mm)) if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else None
+    form = [4 * float(np.nanmax(obs.rms_mm))] if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else []
     points = 0.0 if obs.n_points is None or not obs.n_centres else float(np.min(obs.n_points))
-    form_sigma = form / np.sqrt(2 * points) if form is not None and points > 1 else None
-    lengths = single_lengths(obs, state, effects)
+    form_sigma = form[0] / np.sqrt(2 * points) if form and points > 1 else None
+    judged = verdict_of_places(spacing, [p.judging_mm for p in verification.places], limit)
     return [
-        replace(
-            _figure("sphere spacing error", spacing, sigma, limits.sphere_spacing_error_mm),
-            verdict=verdict_of_places(spacing, judging, limits.sphere_spacing_error_mm),
-        ),
-        _figure(
-            "probing error, form (4 sigma of the sphere fits)",
-            np.array([]) if form is None else np.array([form]),
-            form_sigma,
-            limits.probing_error_form_mm,
-        ),
-        _figure("probing error, size", np.array([]), None, limits.probing_error_size_mm),
-        _figure("length measuring error (every pair of scans)", lengths, sigma, limits.length_measuring_error_mm),
+        replace(_figure("sphere spacing error", spacing, sigma), limit_mm=limit, verdict=judged),
+        _figure("probing error, form (4 sigma of the sphere fits)", form, form_sigma),
+        _figure("probing error, size", (), None),
+        _figure("length measuring error (every pair of scans)", single_lengths(obs, state, effects), sigma),
     ]
 
 
@@ -382,8 +361,6 @@ def beyond_expected(error_mm: float, expected_mm: float | None) -> bool:
     return expected_mm is not None and abs(error_mm) > K * expected_mm
 
 
-def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> JudgedFigure:
+def _figure(name: str, values: Sequence[float] | np.ndarray, sigma: float | None) -> JudgedFigure:
     value = float(np.abs(values).max()) if len(values) else None
-    return JudgedFigure(
-        name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=limit, verdict=verdict(value, sigma, limit)
-    )
+    return JudgedFigure(name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=None, verdict="none")

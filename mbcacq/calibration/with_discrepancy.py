@@ -179,9 +179,14 @@ def _strongest_order(groups: _Groups) -> tuple[float, int, float]:
 
 
 def _periodogram(orders: np.ndarray, q: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(H,) squared magnitude of the sums of values (P,) by orders (H,) of an angle q (P,), in parts of some megabytes."""
-    parts = np.array_split(orders, 1 + len(orders) * len(q) // 10**6)
-    return np.concatenate([np.abs(np.exp(1j * np.outer(some, q)) @ values) ** 2 for some in parts])
+    """(H,) squared magnitude of the sums of values (P,) by evenly spaced orders (H,) of an angle q (P,).
+
+    Every order is one of a few far apart and one of a few near zero, and its sum an element of the product of two small matrices.
+    """
+    near = max(int(np.ceil(np.sqrt(len(orders)))), 1)
+    far, beyond = orders[::near], orders[:near] - orders[:1]
+    sums = (np.exp(1j * np.outer(far, q)) * values) @ np.exp(1j * np.outer(q, beyond))
+    return np.abs(sums.ravel()[: len(orders)]) ** 2
 
 
 def wander_of(terms: Sequence[EffectTerm], joints: int) -> np.ndarray | None:

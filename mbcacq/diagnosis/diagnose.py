@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.executor import Executor, Refit, Refitting, TimeBudget, executor
+from mbcacq.diagnosis.executor import Refit, Refitting, TimeBudget, WorkerPool, processes
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
@@ -53,30 +53,33 @@ def diagnose(
             "the recording has poses of the flange and no joint angles, so what a joint does cannot be asked; give q1_deg .. for a "
             "diagnosis, or compare the methods for the hand-eye transformation with mbcacq compare"
         )
-    with determined(recordings), executor(workers, minutes) as by:
-        return _diagnose(recordings, by, folds, progress, options_for(first, options or CalibrationOptions()), formulas, refit)
+    budget, options = TimeBudget.of_minutes(minutes), options_for(first, options or CalibrationOptions())
+    with determined(recordings), processes(workers) as pool:
+        return _diagnose(recordings, pool, budget, options, folds=folds, progress=progress, formulas=formulas, refit=refit)
 
 
 def _diagnose(
     recordings: Observations | Sequence[Observations],
-    by: Executor,
+    pool: WorkerPool,
+    budget: TimeBudget,
+    options: CalibrationOptions,
+    *,
     folds: int | None,
     progress: Progress,
-    options: CalibrationOptions,
     formulas: bool,
     refit: Refit | None,
 ) -> Diagnosis:
-    """The diagnosis, computed ``by`` an executor."""
+    """The diagnosis, computed by the processes of a pool."""
     progress("fitting the geometry")
-    problem, notes = linearised(recordings, options, by.budget)
-    refitting = Refitting(refit, by.pool)
+    problem, notes = linearised(recordings, options, budget)
+    refitting = Refitting(refit, pool)
 
     progress("searching for effects")
-    early = repeated_early(replace(problem, budget=by.budget), folds, by.pool)
-    found = search(problem)
+    early = repeated_early(replace(problem, budget=budget), folds, pool)
+    part, fit, members = search(problem)
     if problem.in_part:  # what is left nearly always asks for groups at all locations
-        refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(found.members)))
-    full = fit_everywhere(problem, found)
+        refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(members)))
+    full = fit_everywhere(problem, part, fit, members)
     variations = noise_variations(full)
     if variations and not problem.in_part and not problem.budget.spent:
         progress("searching for effects again, with the noise as it depends on the place")
@@ -85,8 +88,8 @@ def _diagnose(
     kept = kept_model(full)
     refitting.begin(kept)
 
-    problem = replace(problem, budget=by.budget)
-    again, halves = early or repeated(problem, full, folds, by.pool)
+    problem = replace(problem, budget=budget)
+    again, halves = early or repeated(problem, full, folds, pool)
     validation = validated(full, again, progress)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)

@@ -37,11 +37,6 @@ USUAL = {TRIM_THRESHOLD: 128 * 1024, MMAP_MAX: 65536}
 KEPT = {TRIM_THRESHOLD: 2**31 - 1, MMAP_MAX: 0}
 
 
-def keep_freed_memory() -> None:
-    """For the rest of the process."""
-    _set(KEPT)
-
-
 @contextmanager
 def freed_memory_kept() -> Iterator[None]:
     """For as long as the context lasts; afterwards the system gets back what is free.
@@ -86,7 +81,7 @@ def cores() -> int:
 def _begun() -> None:
     """What another process does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    keep_freed_memory()
+    _set(KEPT)
 
 
 def _unpacked(call: bytes) -> Any:
@@ -204,19 +199,11 @@ class TimeBudget:
 UNLIMITED = TimeBudget()
 
 
-@dataclass(frozen=True)
-class Executor:
-    """What computes one diagnosis: its processes, and the time that it may take."""
-
-    pool: WorkerPool
-    budget: TimeBudget
-
-
 @contextmanager
-def executor(workers: int, minutes: float | None) -> Iterator[Executor]:
-    """An executor of so many processes, no more than there are parts of a validation, each with one thread. minutes: None for no end."""
+def processes(workers: int) -> Iterator[WorkerPool]:
+    """A pool of so many processes, no more than there are parts of a validation, each with one thread."""
     with one_thread(), freed_memory_kept(), WorkerPool(min(workers, OPTIONS.folds)) as pool:
-        yield Executor(pool, TimeBudget.of_minutes(minutes))
+        yield pool
 
 
 class Refitting:

@@ -198,46 +198,37 @@ def cells_of(best: Hypothesis) -> tuple[LocatedMismatch, ...]:
 
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
     """The model of all centres; outliers are judged with it in place."""
-    return fit_everywhere(problem, search(problem))
+    return fit_everywhere(problem, *search(problem))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Searched:
-    """The search for effects. problem: of the poses that were searched, of a long recording a part; members: what is reported, as effects
-    of the whole recording."""
-
-    problem: DiagnosisProblem
-    fit: EvidenceFit
-    members: tuple[Member, ...]
-
-
-def search(problem: DiagnosisProblem) -> Searched:
-    """The sets of effects of the most evidence, and the one that is reported."""
+def search(problem: DiagnosisProblem) -> tuple[DiagnosisProblem, EvidenceFit, tuple[Member, ...]]:
+    """The problem of the poses that were searched, of a long recording a part; the sets of effects; and the effects of the catalogue that
+    are reported, as those of the whole recording."""
     robot = problem.context.obs.cell.robot
     if not problem.in_part:
         fit = with_allowed_names(with_untried_rivals(problem, fit_evidence(problem)), robot)
-        return Searched(problem=problem, fit=fit, members=reported_hypothesis(fit).catalogued)
+        return problem, fit, reported_hypothesis(fit).catalogued
     part = problem.searched(problem.linear.keep)
     fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
     fit = with_allowed_names(fit, robot)
-    return Searched(problem=part, fit=fit, members=transferred(part, problem, reported_hypothesis(fit).catalogued))
+    return part, fit, transferred(part, problem, reported_hypothesis(fit).catalogued)
 
 
-def fit_everywhere(problem: DiagnosisProblem, searched: Searched) -> ModelFit:
+def fit_everywhere(problem: DiagnosisProblem, part: DiagnosisProblem, fit: EvidenceFit, members: Sequence[Member]) -> ModelFit:
     """The model of all poses by the effects that were found. A long recording has them fitted to all of it, and what is left are random
     effects at every location.
     """
-    found = reported_hypothesis(searched.fit)
+    found = reported_hypothesis(fit)
     if not problem.in_part:
-        return model_of(problem, searched.fit, found, searched.fit.linear)
-    point = on_the_whole(problem, searched.members, found)
+        return model_of(problem, fit, found, fit.linear)
+    point = on_the_whole(problem, members, found)
     # What was refused as a name is unmodelled for certain.
-    random, noise, cells = random_effects_everywhere(problem, searched.problem, found, point.noise, known=bool(found.unmodelled))
+    random, noise, cells = random_effects_everywhere(problem, part, found, point.noise, known=bool(found.unmodelled))
     if random:
-        best = under(replace(point, theta=pack(noise)), searched.members, found.log_prior)
+        best = under(replace(point, theta=pack(noise)), members, found.log_prior)
     else:
-        best = estimated(searched.members, point, found.log_prior)
-    return replace(model_of(problem, searched.fit, best, point.linear), random=random, cells=cells)
+        best = estimated(members, point, found.log_prior)
+    return replace(model_of(problem, fit, best, point.linear), random=random, cells=cells)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,8 +315,8 @@ def noise_left_by(joint: JointModel, start: Noise, prior: NoisePrior) -> Noise:
 
 
 def joint_noise_factor(full: ModelFit) -> float:
-    """By how much the joints repeat worse than the data sheet has it (median); 1 where they do not, beyond what it may be by chance, or
-    where the sheet is silent.
+    """Repeatability of the joints over that of the data sheet (median). It is 1 if the joints are no worse beyond chance, or if the sheet
+    states none.
 
     What repeats worse than that is an error that was not recognised: no verdict takes it for noise.
     """

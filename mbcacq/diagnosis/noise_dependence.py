@@ -1,9 +1,10 @@
 """Noise that depends on the place: whether it grows with reach, with the distance in the field or with the angle of incidence.
 
-Real scanners are noisier far away and at slanting surfaces, and an arm that reaches out sways more. Under one noise for all poses a search
-takes what the noisy ones do for effects, and trusts the quiet ones too little. After a search, the squares that its model leaves are
-compared over the poses, in two parts. The part that no rigid motion of a pose explains is the instrument's; the rest belongs to joints and
-instrument together. Each is a sum of squares of d degrees of freedom whose variance is exp(a + b x) of a covariate x (gamma regression).
+Real scanners are noisier far away and at slanting surfaces, and an arm that reaches out sways more. Under one noise for all poses a
+search takes the scatter of the noisy ones for effects, and trusts the quiet ones too little. After a search, the squares that its model
+leaves are compared over the poses, in two parts. The part that no rigid motion of a pose explains is the instrument's; the rest belongs
+to joints and instrument together. Each is a sum of squares of d degrees of freedom whose variance is exp(a + b x) of a covariate x (gamma
+regression).
 """
 
 from __future__ import annotations

@@ -84,8 +84,7 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         preliminary = state = fit_hand_eye(obs, options)
     else:
         preliminary, state = (with_all_stations(obs, one) for one in (first.preliminary, first.state))
-    # What random effects explain is in the noise of an adjustment without them.
-    noise = None if first is None or any(t.sized for t in options.terms) else first.noise
+    noise = None if first is None else first.noise
     begin = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     solution, found = determined(obs, options, begin, noise)
     solution = robust_solve(solution, COARSE)  # by one name, so that one solution at a time is in memory

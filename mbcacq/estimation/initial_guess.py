@@ -7,7 +7,7 @@ of the transform once subtracting means has eliminated each point's own place, s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,41 +21,21 @@ REACH_MM = 3000.0  # of a target on the flange: where all poses have one orienta
 NEAR_MM = 3.0  # a given hand-eye that brings the points together this well needs no other start
 
 
-@dataclass(frozen=True)
-class Placement:
-    """A hand-eye transform X (4, 4), or that of each pose (P, 4, 4), with the stations T_base_station (S, 4, 4) that go with it.
-
-    here, there: (M, 3) where each centre is in the frame of its station, and in the base by the arm; station: (M,) of each centre.
-    """
-
-    X: np.ndarray
-    T_base_station: np.ndarray
-    here: np.ndarray
-    there: np.ndarray
-    station: np.ndarray
-
-    @property
-    def misfit(self) -> float:
-        """Median distance (mm) between where the centres are and where they ought to be."""
-        off = se3.apply(self.T_base_station[self.station], self.here) - self.there
-        return float(np.median(np.linalg.norm(off, axis=1)))
-
-
 def start(obs: Observations) -> CellState:
     """Nominal arm, with the better of the given hand-eye and the one found from the data; robust to gross outliers."""
     chain = obs.cell.robot.chain
     T_base_flange = chain.flange(obs.q)
     if obs.cell.length_scale:
         return _multilateration(obs, T_base_flange)
-    best = None
-    for X, T_base_station in hand_eye_candidates(obs, T_base_flange):
-        placed = place_stations(obs, T_base_flange, X, T_base_station)
-        if best is None or placed.misfit < best.misfit:
-            best = placed
-        if best.misfit <= NEAR_MM:
+    best, least = obs.cell.T_flange_scanner, np.inf
+    stations = np.zeros(0)
+    for X, known in hand_eye_candidates(obs, T_base_flange):
+        placed, misfit = place_stations(obs, T_base_flange, X, known)
+        if misfit < least:
+            best, stations, least = X, placed, misfit
+        if least <= NEAR_MM:
             break
-    assert best is not None, "one is given"
-    return CellState(chain, best.X, best.T_base_station, obs.cell.ball_centres.copy())
+    return CellState(chain, best, stations, obs.cell.ball_centres.copy())
 
 
 def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
@@ -158,8 +138,13 @@ def target_and_stations(obs: Observations, T_base_flange: np.ndarray) -> tuple[n
     return targets[0], stations
 
 
-def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, T_base_station: np.ndarray | None = None) -> Placement:
-    """Stations as they are ``T_base_station``; without it, given ones as given, the others by fitting the points measured there."""
+def place_stations(
+    obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, T_base_station: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
+    """Stations (S, 4, 4) as they are ``T_base_station``; without it, given ones as given, the others by fitting the points measured there.
+
+    Also the median distance (mm) of the centres from where the arm has them. X: (4, 4) hand-eye, or that of each pose (P, 4, 4).
+    """
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
     pose, known, measured = _points(obs)
@@ -171,8 +156,8 @@ def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, 
         for s, one in enumerate(cell.stations):
             if one.T_base_station is not None:
                 T_base_station[s] = one.T_base_station
-    centres = slice(obs.n_centres)
-    return Placement(X, T_base_station, here[centres], there[centres], station[centres])
+    off = se3.apply(T_base_station[station], here) - there
+    return T_base_station, float(np.median(np.linalg.norm(off[: obs.n_centres], axis=1)))
 
 
 def _points(obs: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -195,5 +180,4 @@ def with_all_stations(obs: Observations, state: CellState) -> CellState:
     """The state with every station placed by the points measured there; as it is where distances alone were measured."""
     if obs.cell.length_scale:
         return state
-    placed = place_stations(obs, state.chain.flange(obs.q), hand_eye_of_poses(obs, state))
-    return replace(state, T_base_station=placed.T_base_station)
+    return replace(state, T_base_station=place_stations(obs, state.chain.flange(obs.q), hand_eye_of_poses(obs, state))[0])

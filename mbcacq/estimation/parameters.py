@@ -291,8 +291,7 @@ def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
 def term_block(term: Term) -> ParameterBlock:
     """The block of a term's coefficients, all free."""
     scale = np.where(np.isfinite(term.sigma), term.sigma, 1.0)
-    group = (term.name,) * term.size if term.sized else None
-    return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale, group=group)
+    return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
 
 
 @dataclass(frozen=True)

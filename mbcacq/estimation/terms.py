@@ -38,15 +38,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Term:
-    """Parts that share k coefficients. names, units: one per coefficient; sigma: (k,) prior standard deviation, inf = none; sized: whether
-    the coefficients are random effects whose common size, a factor of sigma, is estimated with the noise."""
+    """Parts that share k coefficients. names, units: one per coefficient; sigma: (k,) prior standard deviation, inf = none."""
 
     name: str
     parts: tuple[Part, ...]
     names: tuple[str, ...]
     units: tuple[str, ...]
     sigma: np.ndarray
-    sized: bool = False
 
     @property
     def size(self) -> int:

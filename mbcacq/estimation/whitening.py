@@ -122,10 +122,6 @@ class PoseRows:
         out[self.order] = blocks
         return out
 
-    def by_station(self, per_pose: np.ndarray) -> np.ndarray:
-        """Sums (P, ...) over the poses of each station in use: (S', ...), in the order of ``stations``."""
-        return np.add.reduceat(per_pose, self.first, axis=0)
-
 
 def _noise_scales(obs: Observations, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Relative sigma of the rows (M, R) and of the joints (P, 1, n); (1, R) and (1, 1, n) of ones where there is one recording."""

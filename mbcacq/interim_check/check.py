@@ -260,7 +260,8 @@ def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observa
     residual = residuals_of(planned, obs, stations)
     refuse_incomplete(planned, residual)
     started = str(read_run_identity(run).get("started") or datetime.now(UTC).isoformat(timespec="seconds"))
-    return replace(history, stations=history.stations or stations).with_day(CheckedDay(time=started, run=name, residual=residual))
+    today = CheckedDay(time=started, run=name, residual=residual)
+    return replace(history, stations=history.stations or stations, days=(*history.days, today))
 
 
 def _history_file(result: CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:

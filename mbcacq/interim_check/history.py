@@ -91,10 +91,6 @@ class CheckHistory:
     noise: Annotated[Matrix | None, Field(alias="noise_mm2")] = None
     days: tuple[CheckedDay, ...] = ()
 
-    def with_day(self, day: CheckedDay) -> CheckHistory:
-        """The history with one more check."""
-        return replace(self, days=(*self.days, day))
-
     def judged(self, log_e: float, log_e_calibration: float) -> CheckHistory:
         """The history with the evidence of the last day."""
         return replace(self, days=(*self.days[:-1], replace(self.days[-1], log_e=log_e, log_e_calibration=log_e_calibration)))

@@ -22,7 +22,6 @@ AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
 POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
 UNSEEN = 1e4  # usual changes: what is noticed no sooner is not seen at all
-SHOWN = 6  # suspects in a sentence
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import floor, isfinite, log10
 from pathlib import Path
 
@@ -107,10 +107,6 @@ class ModelMatch(AsJson):
     def write(self, path: Path | str) -> Path:
         """Write the model with what was found. Raises ConfigError if the file cannot be written."""
         return write_file(path, self.xml)
-
-    def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
-        """The same with the errors in a held-out recording."""
-        return replace(self, checks=(*self.checks, ModelCheck(recording, errors)))
 
     @property
     def verdict(self) -> str | None:

@@ -15,7 +15,7 @@ from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
-from mbcacq.simulation.model_match import RUNS, TORQUES, ModelMatch
+from mbcacq.simulation.model_match import RUNS, TORQUES, ModelCheck, ModelMatch
 from mbcacq.simulation.model_residual import along, runs_by_servos
 from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
@@ -50,8 +50,9 @@ def diagnose_against_model(
     progress("MuJoCo follows the recorded motion")
     found = diagnose_trajectories([against_model(t, arm, arm.spec) for t in trajectories])
     fit = RollOutFit(arm, trajectories, workers)
-    for block in named_blocks(found, arm, fit):
-        fit.add(block, named=True)
+    for effect in found.named_effects:
+        if declaration(effect.name).model_block:
+            fit.add(_block_of(effect, arm, fit, found), named=True)
     progress("fitting what was found in MuJoCo's own runs" if fit.runs else "fitting what was found to MuJoCo's torques")
     fit.fit(precisely=False)
     for _ in range(ROUNDS):
@@ -81,7 +82,7 @@ def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajec
     fit = RollOutFit(arm, trajectories)
     if fit.runs != (match.compared == RUNS):
         raise ConfigError(f"{name}: has no set points as the recordings diagnosed have; check a recording of the same channels")
-    return match.with_check(name, tuple(fit.errors_of(mujoco_engine().MjSpec.from_string(match.xml))))
+    return replace(match, checks=(*match.checks, ModelCheck(name, tuple(fit.errors_of(mujoco_engine().MjSpec.from_string(match.xml))))))
 
 
 def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
@@ -92,11 +93,6 @@ def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
     torque, q_joint = sensed[:, : arm.n], sensed[:, arm.n :]
     robot = replace(arm.robot, gear_ratio=t.robot.gear_ratio, drives=t.robot.drives)
     return replace(t, robot=robot, q_set=None, q_joint=None if t.q_joint is None else t.q_joint - (q_joint - t.q), simulated_torque=torque)
-
-
-def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: RollOutFit) -> list[Block]:
-    """What the diagnosis named, as far as a model can have it, as blocks of the model."""
-    return [_block_of(effect, arm, fit, found) for effect in found.named_effects if declaration(effect.name).model_block]
 
 
 def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
 from mbcacq.model import yaml12
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import RobotSpec
@@ -21,7 +22,6 @@ from mbcacq.model.robot_import.mjcf import is_gear_spring, placeholder_masses, p
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.quantities import in_degrees
 
-MODEL_FILES = (".xml", ".mjcf", ".urdf")
 LIMIT_SLACK_RAD = 1e-3  # by which a recorded angle may lie outside the model's range
 SETTLING_S = 0.4  # at the first command, before a run that starts at rest
 REST_RAD_S = 2e-3
@@ -147,6 +147,12 @@ def gear_spring(spec: Any, joint: str) -> Any | None:
     return springs[0] if springs else None
 
 
+def gear_springs(arm: MujocoArm, spec: Any) -> tuple[list[int], list[str]]:
+    """The axes whose gears have springs, and the names of these."""
+    found = [(k, s.name) for k, name in enumerate(arm.joints) if (s := gear_spring(spec, name)) is not None]
+    return [k for k, _ in found], [name for _, name in found]
+
+
 def remarks_on_masses(arm: MujocoArm, spec: Any) -> tuple[str, ...]:
     """A sentence where masses of a model of the arm are placeholders, as those of an exported calibration are."""
     model = spec.compile()
@@ -188,12 +194,11 @@ def torque_along(
     model = spec.compile()
     model.opt.disableflags |= int(engine.mjtDisableBit.mjDSBL_CONTACT) | int(engine.mjtDisableBit.mjDSBL_LIMIT)
     data = engine.MjData(model)
-    position, dof = _addresses(model, arm.joints)
-    springs = [(k, s.name) for k, name in enumerate(arm.joints) if (s := gear_spring(spec, name)) is not None]
+    position, dof = addresses(model, arm.joints)
+    which, springs = gear_springs(arm, spec)
     windup = np.zeros_like(q)
-    which = [k for k, _ in springs]
-    spring_position, spring_dof = _addresses(model, [name for _, name in springs])
-    stiffness = np.array([np.atleast_1d(spec.joint(name).stiffness)[0] for _, name in springs])
+    spring_position, spring_dof = addresses(model, springs)
+    stiffness = np.array([np.atleast_1d(spec.joint(name).stiffness)[0] for name in springs])
     rest = np.array(model.qpos0)
     torque = np.zeros_like(q)
     for _ in range(DEFLECTION_ROUNDS if springs else 1):
@@ -214,10 +219,26 @@ def torque_along(
     return torque, windup
 
 
-def _addresses(model: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def addresses(model: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Where the joints stand in qpos and in qvel."""
     ids = [model.joint(name).id for name in joints]
     return np.array([model.jnt_qposadr[j] for j in ids], int), np.array([model.jnt_dofadr[j] for j in ids], int)
+
+
+def body_of(model: Any, joint: str) -> int:
+    """Number of the body that a joint moves."""
+    return int(model.jnt_bodyid[model.joint(joint).id])
+
+
+def frames_at(model: Any, bodies: Sequence[int], joints: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """(P, B, 4, 4) mm: bodies of a model in the world, with joints at q (P, k) rad and all others where the model has them at first."""
+    engine, at, out = mujoco_engine(), addresses(model, joints)[0], []
+    data = engine.MjData(model)
+    for row in q:
+        data.qpos[at] = row
+        engine.mj_kinematics(model, data)
+        out.append([se3.transform(data.xmat[b].reshape(3, 3), 1e3 * data.xpos[b]) for b in bodies])
+    return np.array(out)
 
 
 def carried_inertia(arm: MujocoArm) -> np.ndarray:
@@ -333,7 +354,7 @@ def _run(arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, command: np.n
     engine = mujoco_engine()
     model = spec.compile()
     data = engine.MjData(model)
-    position, dof = _addresses(model, arm.joints)
+    position, dof = addresses(model, arm.joints)
     data.qpos[position], data.qvel[dof] = q, qd
     full = engine.mjtState.mjSTATE_FULLPHYSICS
     state = np.zeros(engine.mj_stateSize(model, full))

@@ -19,7 +19,7 @@ from mbcacq.model.trajectory import Trajectory
 from mbcacq.quantities import in_degrees
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ChannelError, ModelMatch, ModelParameter
-from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, check_recordings, gear_spring, mujoco_engine, torque_along
+from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, body_of, check_recordings, frames_at, gear_spring, gear_springs, torque_along
 from mbcacq.simulation.write_model import T_body_link, as_xml, body_frames, with_chain
 
 POSES = "poses"
@@ -52,7 +52,7 @@ def observations_of_model(recorded: Observations, arm: MujocoArm) -> Observation
 def windup(arm: MujocoArm, spec: Any, q: np.ndarray) -> np.ndarray:
     """(P, n) rad by which the gears of a model wind up under gravity."""
     still = np.zeros_like(q)
-    return torque_along(arm, spec, q, still, still, None)[1] if any(gear_spring(spec, j) is not None for j in arm.joints) else still
+    return torque_along(arm, spec, q, still, still, None)[1] if gear_springs(arm, spec)[0] else still
 
 
 def is_written(name: str) -> bool:
@@ -131,20 +131,8 @@ def miss(arm: MujocoArm, spec: Any, found: CalibratedCell) -> float:
 
 def run_poses(arm: MujocoArm, spec: Any, q: np.ndarray) -> np.ndarray:
     """(P, 4, 4) mm: the last body of a model at motor-side angles q (P, n), gears wound up by gravity, in the base of the imported arm."""
-    engine = mujoco_engine()
     model = spec.compile()
-    data = engine.MjData(model)
-    springs = {k: s.name for k, j in enumerate(arm.joints) if (s := gear_spring(spec, j)) is not None}
-    angle = windup(arm, spec, q)
-    body = int(model.jnt_bodyid[model.joint(arm.joints[-1]).id])
-    foot = base_body(arm, model)
-    out = []
-    for row, wound in zip(q, angle, strict=True):
-        for k, joint in enumerate(arm.joints):
-            data.qpos[int(model.jnt_qposadr[model.joint(joint).id])] = row[k]
-            if k in springs:
-                data.qpos[int(model.jnt_qposadr[model.joint(springs[k]).id])] = wound[k]
-        engine.mj_kinematics(model, data)
-        frames = [se3.transform(np.array(data.xmat[b]).reshape(3, 3), 1e3 * np.array(data.xpos[b])) for b in (foot, body)]
-        out.append(np.linalg.inv(frames[0]) @ frames[1])
-    return np.array(out)
+    axes, springs = gear_springs(arm, spec)
+    at = np.concatenate([q, windup(arm, spec, q)[:, axes]], axis=1)
+    frames = frames_at(model, (base_body(arm, model), body_of(model, arm.joints[-1])), [*arm.joints, *springs], at)
+    return np.linalg.inv(frames[:, 0]) @ frames[:, 1]

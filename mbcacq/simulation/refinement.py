@@ -137,7 +137,8 @@ class RollOutFit(ModelResidual):
                 break
             picked.append(free.pop(best))
             chosen += list(number[picked[-1].key])
-            free = [b for b in free if not _overlap(b, picked[-1])]
+            if picked[-1].name == "actuator_delay":  # all of them set the same attributes of the model
+                free = [b for b in free if b.name != "actuator_delay"]
         return picked
 
     def prune(self) -> bool:
@@ -230,8 +231,3 @@ def _remaining(fit: np.ndarray, rest: np.ndarray, ids: list[int]) -> float:
     """Squares that these columns, fitted in one part, leave in another."""
     x = np.linalg.solve(fit[np.ix_(ids, ids)] + np.eye(len(ids)), fit[ids, -1]) if ids else np.zeros(0)
     return float(rest[-1, -1] - 2 * x @ rest[ids, -1] + x @ rest[np.ix_(ids, ids)] @ x)
-
-
-def _overlap(one: Block, other: Block) -> bool:
-    """Both set the same attributes of the model."""
-    return one.name == other.name == "actuator_delay"

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, mujoco_engine
+from mbcacq.simulation.mujoco_arm import MujocoArm, addresses, base_body, body_of, frames_at, mujoco_engine
 
 
 def as_xml(arm: MujocoArm, spec: Any) -> str:
@@ -24,14 +23,10 @@ def as_xml(arm: MujocoArm, spec: Any) -> str:
 
 def body_frames(arm: MujocoArm, spec: Any) -> np.ndarray:
     """(n, 4, 4) mm: the bodies of the axes at joint angles of zero, in the base frame of the imported arm."""
-    engine = mujoco_engine()
     model = spec.compile()
-    data = engine.MjData(model)
-    data.qpos[[int(model.jnt_qposadr[model.joint(j).id]) for j in arm.joints]] = 0.0
-    engine.mj_kinematics(model, data)
-    foot = base_body(arm, model)
-    world = [_frame(data.xpos[b], data.xmat[b]) for b in (foot, *(int(model.jnt_bodyid[model.joint(j).id]) for j in arm.joints))]
-    return np.linalg.inv(world[0]) @ np.array(world[1:])
+    bodies = [base_body(arm, model), *(body_of(model, j) for j in arm.joints)]
+    world = frames_at(model, bodies, arm.joints, np.zeros((1, arm.n)))[0]
+    return np.linalg.inv(world[0]) @ world[1:]
 
 
 def T_body_link(arm: MujocoArm, axis: int) -> np.ndarray:
@@ -49,30 +44,21 @@ def with_chain(arm: MujocoArm, chain: Chain) -> Any:
     zero = np.zeros((1, arm.n))
     before, after = (T_base @ c.frames(zero)[0] for c in (arm.robot.chain, chain))
     new = after[1:] @ np.linalg.inv(before[1:]) @ old  # each body rides on the frame behind its row as it did
-    reference = np.array([float(arm.spec.compile().qpos0[_address(arm, k)]) for k in range(arm.n)])
-    turned = T_base @ chain.frames(reference[None])[0][1:] @ np.linalg.inv(after[1:]) @ new if reference.any() else new
+    model = arm.spec.compile()
+    reference = model.qpos0[addresses(model, arm.joints)[0]]
+    rows = T_base @ chain.frames(reference[None])[0]  # the frame before the row of each axis, whose z is the axis
+    turned = rows[1:] @ np.linalg.inv(after[1:]) @ new if reference.any() else new
     place = np.eye(4)
     for k, joint in enumerate(arm.joints):
         body = spec.joint(joint).parent
-        fixed = _between(arm, k, reference)
-        own = np.linalg.inv(fixed) @ np.linalg.inv(place) @ turned[k]
+        own = np.linalg.inv(_between(arm, model, k)) @ np.linalg.inv(place) @ turned[k]
         body.pos, body.quat = 1e-3 * own[:3, 3], _quaternion(own[:3, :3])
         body.alt.type = mujoco_engine().mjtOrientation.mjORIENTATION_QUAT
-        inside = np.linalg.inv(turned[k]) @ _row_frame(T_base, chain, k, reference)
+        inside = np.linalg.inv(turned[k]) @ rows[k]
         for one in body.joints:
             one.axis, one.pos = inside[:3, 2] * chain.sign[k], 1e-3 * _nearest(inside, 1e3 * np.array(one.pos))
         place = turned[k]
     return spec
-
-
-def _address(arm: MujocoArm, k: int) -> int:
-    model = arm.spec.compile()
-    return int(model.jnt_qposadr[model.joint(arm.joints[k]).id])
-
-
-def _row_frame(T_base: np.ndarray, chain: Chain, k: int, q: np.ndarray) -> np.ndarray:
-    """The frame before the row of an axis, whose z is the axis."""
-    return T_base @ chain.frames(q[None])[0][k]
 
 
 def _nearest(frame: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -81,24 +67,12 @@ def _nearest(frame: np.ndarray, point: np.ndarray) -> np.ndarray:
     return origin + z * (z @ (point - origin))
 
 
-def _between(arm: MujocoArm, k: int, reference: np.ndarray) -> np.ndarray:
+def _between(arm: MujocoArm, model: Any, k: int) -> np.ndarray:
     """(4, 4) mm: the frame in which the body of an axis is placed, in the body of the axis before (of the first: in the base)."""
-    engine = mujoco_engine()
-    model = arm.spec.compile()
-    data = engine.MjData(model)
-    engine.mj_kinematics(model, data)
-    body = int(model.jnt_bodyid[model.joint(arm.joints[k]).id])
-    parent = int(model.body_parentid[body])
-    if k:
-        before = int(model.jnt_bodyid[model.joint(arm.joints[k - 1]).id])
-    else:
-        before = base_body(arm, model)
-    worlds = [_frame(data.xpos[b], data.xmat[b]) for b in (before, parent)]
-    return np.linalg.inv(worlds[0]) @ worlds[1]
-
-
-def _frame(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    return se3.transform(np.array(rotation).reshape(3, 3), 1e3 * np.array(position))
+    before = body_of(model, arm.joints[k - 1]) if k else base_body(arm, model)
+    parent = int(model.body_parentid[body_of(model, arm.joints[k])])
+    world = frames_at(model, (before, parent), (), np.zeros((1, 0)))[0]
+    return np.linalg.inv(world[0]) @ world[1]
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:

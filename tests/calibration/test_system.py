@@ -180,7 +180,7 @@ def normal_of_rows(rows, X, prior):
     """Normal equations summed over whitened rows X (P, B R, g + 7)."""
     g = X.shape[2] - 7
     whole = np.einsum("pmi,pmj->ij", X, X)
-    shared = rows.by_station(np.swapaxes(X[..., g : g + 6], 1, 2) @ X)
+    shared = np.add.reduceat(np.swapaxes(X[..., g : g + 6], 1, 2) @ X, rows.first, axis=0)
     products = whole[:g, :g], shared[..., g : g + 6], shared[..., :g]
     return Normal(rows, products, (whole[:g, -1], shared[..., g + 6], whole[-1, -1]), prior)
 

@@ -158,7 +158,7 @@ def geometry(rng: np.random.Generator, template: Cell) -> np.ndarray:
 def nominal_state(obs: Observations) -> CellState:
     """The arm and the hand-eye as stated, the stations where the measured points put them then."""
     robot, T_flange_scanner = obs.cell.robot, obs.cell.T_flange_scanner
-    stations = initial_guess.place_stations(obs, robot.chain.flange(obs.q), T_flange_scanner).T_base_station
+    stations = initial_guess.place_stations(obs, robot.chain.flange(obs.q), T_flange_scanner)[0]
     return CellState(robot.chain, T_flange_scanner, stations, obs.cell.ball_centres.copy())
 
 

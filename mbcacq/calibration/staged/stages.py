@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.calibration.held_out_poses import ball_spread, rms
 from mbcacq.calibration.staged import angle_adjustment
 from mbcacq.calibration.staged.pair_distances import VIRTUAL_BALLS
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import hand_eye_from_fixed_points
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
@@ -117,25 +119,17 @@ def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.
         raise CalibrationError("fewer than three poses show the same four balls; the virtual point of the paper's method needs them")
     rows = rows[np.isin(chosen.pose[rows], whole)]
     points = chosen.xyz[rows].reshape(len(whole), VIRTUAL_BALLS, 3)
-    return obs.cell.robot.chain.flange(chosen.q[whole]), virtual_points(points)
+    return obs.cell.robot.chain.flange(chosen.q[whole]), points.mean(axis=1)  # Eq. 5
 
 
 def point_spread(obs: Observations, X: np.ndarray) -> float:
     """rms (mm) of the balls about their mean places in the base, with the nominal arm."""
-    base = se3.apply((obs.cell.robot.chain.flange(obs.q) @ X)[obs.pose], obs.xyz)
-    _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
-    mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
-    return float(np.sqrt(np.mean(np.sum((base - mean[group]) ** 2, axis=1))))
+    return rms(ball_spread(obs, CellState(obs.cell.robot.chain, X, np.zeros((0, 4, 4)), obs.cell.ball_centres)))
 
 
 def _spread(T: np.ndarray, virtual: np.ndarray) -> float:
     base = se3.apply(T, virtual)
     return float(np.sqrt(np.mean(np.sum((base - base.mean(axis=0)) ** 2, axis=1))))
-
-
-def virtual_points(points: np.ndarray) -> np.ndarray:
-    """Barycentres (P, 3) of the balls of each pose (P, B, 3); the paper takes four balls (Eq. 5)."""
-    return points.mean(axis=1)
 
 
 def rotation_from_translations(T_base_flange: np.ndarray, virtual: np.ndarray) -> np.ndarray:

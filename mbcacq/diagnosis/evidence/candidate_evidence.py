@@ -31,20 +31,20 @@ def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
     """Scores of the candidates whose hyper-parameter has few values, all in one product."""
-    batch = projected.batch(candidates)
-    logs = np.zeros(len(batch.fixed.entries))
-    absorbed = (projected.conditioned.T @ batch.X).T
-    for (entries, columns), (S, b) in zip(batch.fixed.sizes, batch.blocks, strict=True):
+    fixed, X, blocks = projected.batch(candidates)
+    logs = np.zeros(len(fixed.entries))
+    absorbed = (projected.conditioned.T @ X).T
+    for (entries, columns), (S, b) in zip(fixed.sizes, blocks, strict=True):
         gone = absorbed[columns]
-        typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
+        typical = np.array([fixed.entries[e][0].typical for e in entries])
         A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])
         a = (b - gone @ projected.along) * typical
-        kinds = [(batch.fixed.entries[e][0].positive, batch.fixed.entries[e][0].least_size) for e in entries]
+        kinds = [(fixed.entries[e][0].positive, fixed.entries[e][0].least_size) for e in entries]
         for positive, least in set(kinds):
             mine = np.array([kind == (positive, least) for kind in kinds])
             logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], np.array(possible_sizes(least)), positive)
     values: dict[str, list[tuple[Candidate, float | None, float]]] = {}
-    for (candidate, hyper), log in zip(batch.fixed.entries, logs, strict=True):
+    for (candidate, hyper), log in zip(fixed.entries, logs, strict=True):
         values.setdefault(candidate.key, []).append((candidate, hyper, float(log)))
     out = []
     for each in values.values():
@@ -83,12 +83,7 @@ def log_factors(projected: CandidateScoring, candidate: Candidate, values: Seque
     """(H,) log Bayes factors of a candidate at values of its hyper-parameter."""
     S, b = projected.normal_matrices(candidate, values)
     t = candidate.typical
-    return log_bayes_factors(S * np.outer(t, t), b * t, sizes_of(candidate), candidate.positive)
-
-
-def sizes_of(candidate: Candidate) -> np.ndarray:
-    """Sizes of its coefficients, in typical ones."""
-    return np.array(possible_sizes(candidate.least_size))
+    return log_bayes_factors(S * np.outer(t, t), b * t, np.array(possible_sizes(candidate.least_size)), candidate.positive)
 
 
 def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scored:

@@ -179,16 +179,11 @@ def under(point: P, members: Sequence[Member], log_prior: float) -> Hypothesis[P
     return Hypothesis(sized, point, log_density - 0.5 * float(np.linalg.slogdet(information)[1]), log_prior)
 
 
-def scoring_step(gradient: np.ndarray, information: np.ndarray) -> np.ndarray:
-    """Step of the logarithms of the noise, by average-information scoring."""
-    return np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
-
-
 def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray) -> float:
     """Laplace's integral over the noise about the maximum that one more step is expected to reach, up to powers of 2 pi that the
     normalised prior has as well.
     """
-    step = scoring_step(gradient, information)
+    step = np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
     expected = float(gradient @ step - 0.5 * step @ information @ step)
     return log_density + expected - 0.5 * float(np.linalg.slogdet(information)[1])
 

@@ -32,7 +32,7 @@ class NoisePoint:
     theta: np.ndarray
 
     def __reduce__(self) -> tuple:
-        """Without what is computed again where it is asked for."""
+        """Pickled without what can be computed again."""
         return NoisePoint, (self.linear, self.prior, self.theta)
 
     @cached_property

@@ -124,6 +124,12 @@ class CandidatePool:
                     self.forms.append(self._of(refinement, effect.hyper if refinement.rows.shares_hyper else None))
         self.mark = len(self._model.store.prior)
 
+    def untested(self) -> list[np.ndarray]:
+        """Add the columns of the refinements of selected effects that cannot be tested here. Returns their numbers."""
+        slow = [e for e in self._model.selected if e.candidate.hyper is not None and not e.candidate.hyper.refine]
+        own = [(r, e) for e in slow for r in self.candidates if r.rows.shares_hyper and r.location == e.candidate.location]
+        return [self._model.add(r, e.hyper) for r, e in own if not self._can_be_tested(r, e.candidate)]
+
     def _can_be_tested(self, refinement: Candidate, candidate: Candidate) -> bool:
         """A deviation that accumulates with time can only be tested on another motion, not on other moments of the same."""
         several = len({s.run for s in self._model.store.segments}) >= 2

@@ -199,15 +199,13 @@ class PosesAndMotion:
         found = diagnosis.effects if by == "poses" else self.motion.named_effects
         named = named_side(pair, labels_of((e.name, e.where) for e in found))
         if not named:
-            named, by = self._load_by_both(pair) if ARM in pair.effects else self._side_by_both(pair), "both"
+            # Of the joint set, where that is the only one.
+            sides = named_side(pair, self.together.reported) if self.together.decided else []
+            named, by = self._load_by_both(pair) if ARM in pair.effects else sides, "both"
         return DecidedPair(pair.effects, named[0], by) if len(named) == 1 else None
 
-    def _side_by_both(self, pair: NotSeparable) -> list[str]:
-        """The sides of a pair that are in the joint set, where that is the only one."""
-        return named_side(pair, self.together.reported) if self.together.decided else []
-
     def _load_by_both(self, pair: NotSeparable) -> list[str]:
-        """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
+        """The load, or the masses of the arm in its place in the motion: the one that poses and motion make twenty times as probable."""
         first, second = pair.effects
         load, odds = (second, 1.0) if first == ARM else (first, -1.0)
         own = sum(_own_log_odds(load, one.evidence) for one in self.motion.evidence)

@@ -15,8 +15,9 @@ from mbcacq.diagnosis.effect_found import EffectFound, MotionStep
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
+from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
-from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
+from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, estimate_hyperparameters, uncertain_effects
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_error import load_alternatives, load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
@@ -30,6 +31,7 @@ from mbcacq.effects.effect import Candidate, Parameters, joined_parameters
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import K
 
 # Relative distance from the first or last value tried within which a hyper-parameter is at that bound.
 BOUND = 1e-6
@@ -103,7 +105,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     chosen = model.chosen()
     weights = model.weights(chosen)
     x = consistent_coefficients(model, weights, chosen, store.solve(store.normal(weights), chosen))
-    spread = _covariance(model, weights, chosen, x)
+    spread = _covariance(model, weights, chosen, x, selection.pool)
     n = np.maximum(store.count.sum(axis=0), 1.0)
     found = bodies(model, chosen)
     result = MotionFit(
@@ -132,21 +134,22 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
     """Residuals and squared errors (J,) of the base, with the channel as it was recorded."""
     store, delay = model.store, model.store.delay
     store.correct_delay(0.0)
-    base = model.without_load_error(store.base)
+    base = np.setdiff1d(store.base, model.load_error, assume_unique=True)
     x = store.solve(store.normal(model.weights(base)), base)
     out = _residuals(model, base, x), store.errors(base, x)
     store.correct_delay(delay)
     return out
 
 
-def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Covariance of the coefficients x, then of the continuous hyper-parameters, all together."""
-    store = model.store
+def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray, pool: CandidatePool) -> np.ndarray:
+    """Covariance of the coefficients x, then of the hyper-parameters, all together; refinements that these recordings cannot test may be
+    there as well.
+    """
+    store, uncertain = model.store, uncertain_effects(model)
     if not store.whole:  # with a part held out only the prediction is used
-        return np.zeros((len(x) + len(continuous_effects(model)),) * 2)
-    derivatives = add_derivatives(model, chosen, x)
-    ids = np.concatenate([chosen, *derivatives]).astype(int)
-    return covariance(store, weights, ids, np.concatenate([x, np.zeros(len(derivatives))]), NUMBERS.correlation_s)
+        return np.zeros((len(x) + len(uncertain),) * 2)
+    further = np.concatenate([chosen, *add_derivatives(model, uncertain, chosen, x), *pool.untested()]).astype(int)
+    return covariance(store, weights, further, np.concatenate([x, np.zeros(len(further) - len(x))]), NUMBERS.correlation_s)
 
 
 def _residuals(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> ByRun:
@@ -159,10 +162,10 @@ def _residuals(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> ByRun:
 
 def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
     chosen = model.chosen()
-    position, continuous = model.store.positions(chosen), continuous_effects(model)
+    position, uncertain = model.store.positions(chosen), uncertain_effects(model)
     out: dict[tuple, FittedEffect] = {}
     for effect in model.selected:
-        hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
+        hyper = [len(chosen) + k for k, e in enumerate(uncertain) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
         at = position[effect.columns]
         fitted = _fitted(model, effect, judged.get(effect.candidate.form, Judged()), x[at], spread[np.ix_(at, at)], hyper_std)
@@ -172,12 +175,20 @@ def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, 
 
 
 def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[FittedEffect]:
-    """The effects with the parameters as all sets state them that are not excluded."""
+    """The effects with the parameters as all sets state them that are not excluded, but for hyper-parameters that these do not determine:
+    a time constant has a sign.
+    """
     if sets is None or not sets.significant:
         return effects
-    between = BetweenSets.of(sets)
-    each = ((e, between.averaged([e.candidate.label], e.found.parameters)) for e in effects)
-    return [replace(e, found=replace(e.found, parameters=parameters)) for e, parameters in each]
+    between, out = BetweenSets.of(sets), list[FittedEffect]()
+    for e in effects:
+        parameters, hyper = between.averaged([e.candidate.label], e.found.parameters), e.candidate.hyper
+        if hyper is not None and not hyper.from_none and hyper.name in parameters:
+            values, stds = parameters[hyper.name].components
+            if any(K * std >= value for value, std in zip(values, stds, strict=True)):
+                del parameters[hyper.name]
+        out.append(replace(e, found=replace(e.found, parameters=parameters)))
+    return out
 
 
 def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:

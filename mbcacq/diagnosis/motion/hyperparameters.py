@@ -8,6 +8,7 @@ delay is estimated is that of the simulation, which has no noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -85,7 +86,7 @@ def _improved_orders(model: MotionModel) -> bool:
             break
         best = deviance
         mark = len(store.prior)
-        ids = np.concatenate([chosen, *add_derivatives(model, chosen, x)]).astype(int)
+        ids = np.concatenate([chosen, *add_derivatives(model, free, chosen, x)]).astype(int)
         steps = store.solve(store.normal(weights), ids)[len(chosen) :]
         store.forget(mark)
         for i, (step, (low, high)) in enumerate(zip(steps, bounds, strict=True)):
@@ -118,13 +119,18 @@ def continuous_effects(model: MotionModel) -> list[Member]:
     return [e for e in model.selected if e.candidate.hyper is not None and e.candidate.hyper.refine]
 
 
-def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> list[np.ndarray]:
-    """For each of ``continuous_effects`` add the column d(effect)/d(hyper) to the store. Returns their numbers.
+def uncertain_effects(model: MotionModel) -> list[Member]:
+    """The selected effects whose hyper-parameter makes their coefficients uncertain: it is estimated, or the nearest of those tried."""
+    return [e for e in model.selected if e.candidate.hyper is not None and e.candidate.hyper.name and e.hyper]
+
+
+def add_derivatives(model: MotionModel, effects: Sequence[Member], chosen: np.ndarray, x: np.ndarray) -> list[np.ndarray]:
+    """For each of these effects add the column d(effect)/d(hyper) to the store. Returns their numbers.
 
     x: coefficients of the columns ``chosen``.
     """
     position, out = model.store.positions(chosen), []
-    for effect in continuous_effects(model):
+    for effect in effects:
         c = x[position[effect.columns]]
         h = effect.value
         d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)

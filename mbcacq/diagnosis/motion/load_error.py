@@ -84,7 +84,8 @@ def _principal(columns: list[np.ndarray]) -> list[np.ndarray]:
 def follow_load_error(model: MotionModel) -> None:
     """Let the error of the load show as the selected effects pass it on."""
     if len(model.load_error):
-        model.set_load_error(_passed_on(model, model.coefficients()))
+        columns = _passed_on(model, model.coefficients())
+        model.store.replace(model.load_error, list(range(len(columns))), columns)
 
 
 def _passed_on(model: MotionModel, x: np.ndarray) -> list[np.ndarray]:

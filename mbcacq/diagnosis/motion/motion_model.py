@@ -43,14 +43,6 @@ class MotionModel:
         store.base = np.concatenate([store.base, numbers])
         return numbers
 
-    def without_load_error(self, columns: np.ndarray) -> np.ndarray:
-        """These numbers of columns without those of the error of the load."""
-        return columns[~np.isin(columns, self.load_error)]
-
-    def set_load_error(self, columns: list[np.ndarray]) -> None:
-        """Let the error of the load show by these columns (Ttot, r) of each joint."""
-        self.store.replace(self.load_error, list(range(len(columns))), columns)
-
     # columns
 
     def columns(self, candidate: Candidate, joint: int, hyper: float | None) -> np.ndarray:

@@ -158,8 +158,9 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
 
     if full.everywhere:
         first = full.cells[0]
-        spread = {key: again[label].size_spread * size[key][0] for key in ranked if (label := group_label(*key)) in again}
-        stated = [key for key in ranked if size[key][0] > K * max(size[key][1], spread.get(key, 0.0))] or ranked[:1]
+        spread = {key: again[label].size_spread for key in ranked if (label := group_label(*key)) in again}
+        size = {key: (rms, max(std, spread.get(key, 0.0) * rms)) for key, (rms, std) in size.items()}
+        stated = [key for key in ranked if size[key][0] > K * size[key][1]] or ranked[:1]
         gain, columns = validation.unmodelled_gain, contributions.unmodelled
         entry(first.location, first.depends_on, stated[:MOST_GROUPS], first.log_bayes_factor, gain, columns)
         return out

@@ -81,15 +81,7 @@ def candidate_keys(candidates: list[Candidate]) -> tuple[str, ...]:
     return tuple(c.key for c in candidates)
 
 
-@dataclass(frozen=True)
-class BatchScoring:
-    """Under one noise model: whitened columns X (rows, K), and of each size S (n, k, k) and b (n, k), geometry projected out."""
-
-    fixed: FixedBlocks
-    X: np.ndarray
-    blocks: list[tuple[np.ndarray, np.ndarray]]
-
-
+Blocks = list[tuple[np.ndarray, np.ndarray]]
 UnitKey = tuple[str, int, int]  # location, index, component
 MOST_KEPT = 3000  # candidates whose products are kept
 ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
@@ -206,18 +198,19 @@ class CandidateScoring:
         absorbed = self.conditioned.T @ X
         return X, S - absorbed.T @ absorbed, b - absorbed.T @ self.along
 
-    def batch(self, candidates: list[Candidate]) -> BatchScoring:
-        """The candidates that need no scan, with geometry alone projected out."""
+    def batch(self, candidates: list[Candidate]) -> tuple[FixedBlocks, np.ndarray, Blocks]:
+        """The candidates that need no scan: their whitened columns (rows, K), and of each size S (n, k, k) and b (n, k), with geometry
+        alone projected out."""
         return self.known(("batch", candidate_keys(candidates)), lambda: self._batch(FixedBlocks.of(candidates, self.linear)))
 
-    def _batch(self, fixed: FixedBlocks) -> BatchScoring:
+    def _batch(self, fixed: FixedBlocks) -> tuple[FixedBlocks, np.ndarray, Blocks]:
         X = self.whiten(fixed.columns)
         absorbed, b = self.absorbed(X), X.T @ self.beyond_geometry()
         blocks = []
         for _, columns in fixed.sizes:
             own, gone = X.T[columns], absorbed.T[columns]
             blocks.append((own @ np.swapaxes(own, 1, 2) - gone @ np.swapaxes(gone, 1, 2), b[columns]))
-        return BatchScoring(fixed, X, blocks)
+        return fixed, X, blocks
 
     # Scans --------------------------------------------------------------------------------------------------------
 

@@ -36,7 +36,8 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
     for at in dict.fromkeys(group.location for group in full.random):
         found_in = sum(shows(part, at, own) for part in parts)
-        spread = size_spread(full.random, parts) if again.of_halves else 0.0
+        # At all locations each size has the spread of its kind; of a few groups there are no kinds.
+        spread = size_spread(full.random, parts) if again.of_halves and not full.everywhere else 0.0
         out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
     keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
     ratios = {key: relative_sizes(full.random, parts, key) for key in keys}

@@ -35,7 +35,7 @@ def read_lines(path: Path) -> Lines:
 
 
 def read_last_lines(path: Path, most_bytes: int) -> list[dict[str, Any]]:
-    """The intact ones of the last whole lines of a file that grows, at most so many bytes of it; none where there is no such file."""
+    """The intact lines at the end of a file that grows, in at most so many bytes; none without such a file."""
     try:
         with path.open("rb") as file:
             begin = max(0, file.seek(0, os.SEEK_END) - most_bytes)
