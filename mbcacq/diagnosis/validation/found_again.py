@@ -33,14 +33,14 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         found = [part.stated[label] for part in parts if label in part.stated and same_moment(own[label], part.stated[label], poses)]
         values = {name.partition(BY)[0]: tuple(stated[name] for stated in found if name in stated) for name in own[label]}
         out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
-    for at in dict.fromkeys(group.location for group in full.random):
-        found_in = sum(shows(part, at, own) for part in parts)
-        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves)
     keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
     ratios = {key: relative_sizes(full.random, parts, key) for key in keys}
     spread = spread_of_kinds(ratios) if again.of_halves else dict.fromkeys(keys, 0.0)
     for key, sizes in ratios.items():
         out[group_label(*key)] = FoundAgain(key[0], int(np.sum(sizes > 0)), len(parts), again.of_halves, size_spread=spread[key])
+    for at in dict.fromkeys(at for at, _ in keys):
+        found_in, largest = sum(shows(part, at, own) for part in parts), max(spread[key] for key in keys if key[0] == at)
+        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=largest)
     return out
 
 
