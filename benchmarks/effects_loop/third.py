@@ -156,13 +156,13 @@ PAGE = """# Learnt over a third, tried over all
 **Question.** Does what a diagnosis found hold where it was not learnt? `python benchmarks/effects_loop.py third --first 5103 --write`
 
 A tracker measures a simulated arm in 120 postures, each joint within a third of its range. With what a diagnosis found, and as geometry
-alone, it is tried in 150 postures over all of the ranges, where base and tool alone are fitted. A cell conceals one effect of the catalogue,
-one outside of it (by another joint's angle or two, a slow eccentricity, a bump, a torque that stiffens), or one of each, of 0.05 to 1 mrad.
+alone, it is tried in 150 postures over all of the ranges, where base and tool alone are fitted. A cell conceals one effect of the
+catalogue, one outside of it (by another joint's angle or two, a slow eccentricity, a bump, a torque that stiffens), or one of each, of 0.05 to 1 mrad.
 Asked: never more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in 95 % of the cells.
 
 The rms of one cell has 3 to 90 degrees of freedom, so that fewer than 95 % of true statements lie within 0.8 to 1.2. Its own range holds
-95 % of true statements (chi square of Satterthwaite's degrees of
-freedom of the stated covariance). NEES is the square of error over uncertainty. Of 102 cells before (`--first 5001`) three were worse, and 91 % in their range.
+95 % of true statements (chi square of Satterthwaite's degrees of freedom of the stated covariance). NEES is the square of error over
+uncertainty. Of 102 cells before (`--first 5001`) three were worse, and 91 % in their range.
 
 **Stated beyond the third.** The covariance of links and effects; unmodelled functions as smooth processes; errors of named effects that are
 held or go on; the lost motion of a typical gear. That is too little where a name is wrong, a function is of two angles, or nothing shows.
@@ -189,11 +189,7 @@ def page(kept: list[dict[str, Any]]) -> str:
         ]
     heads = ["cells", "number", "something found", "worse by 5 %", "rms over geometry's", "largest"]
     heads += ["0.8 to 1.2", "true statements", "own range", "NEES, median", "mean"]
-    worst = [
-        [r["cell"], "; ".join(r["truth"]), f"{r['geometry_mm']:.3f}", f"{r['with_effects_mm']:.3f}"]
-        for r in rows
-        if is_worse(r)
-    ]
+    worst = [[r["cell"], "; ".join(r["truth"]), f"{r['geometry_mm']:.3f}", f"{r['with_effects_mm']:.3f}"] for r in rows if is_worse(r)]
     out = [PAGE, "", *table(heads, said), ""]
     if worst:
         out += ["Worse than the learnt geometry:", "", *table(["cell", "truth", "geometry mm", "with effects mm"], worst), ""]
