@@ -157,8 +157,9 @@ PAGE = """# Learnt over a third, tried over all
 
 A tracker measures a simulated arm in 120 postures, each joint within a third of its range. With what a diagnosis found, and as geometry
 alone, it is tried in 150 postures over all of the ranges, where base and tool alone are fitted. A cell conceals one effect of the
-catalogue, one outside of it (by another joint's angle or two, a slow eccentricity, a bump, a torque that stiffens), or one of each, of 0.05 to 1 mrad.
-Asked: never more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in 95 % of the cells.
+catalogue, one outside of it (by another joint's angle or two, a slow eccentricity, a bump, a torque that stiffens), or one of each, of
+0.05 to 1 mrad. Asked: never more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in
+95 % of the cells.
 
 The rms of one cell has 3 to 90 degrees of freedom, so that fewer than 95 % of true statements lie within 0.8 to 1.2. Its own range holds
 95 % of true statements (chi square of Satterthwaite's degrees of freedom of the stated covariance). NEES is the square of error over
