@@ -43,7 +43,11 @@ from mbcacq.parts.scans import PartScan
 from mbcacq.parts.scene import RegisteredScene
 from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
-from mbcacq.workflow.acquire import solver_cell
+from mbcacq.recording import load_observations
+from mbcacq.workflow.acquire import new_run_folder, plan_acquisition, solver_cell
+from mbcacq.workflow.diagnose import diagnose
+from mbcacq.workflow.dry_run import device_overrides
+from mbcacq.workflow.merge_scans import merge_scans
 
 sys.path[:0] = [str(TESTS / "parts"), str(TESTS / "interim_check")]
 SIGMA = np.array([7e-3, 7e-3, 3e-3, 8e-5, 8e-5, 1.8e-4])  # mm, rad
@@ -203,6 +207,55 @@ def views(args: argparse.Namespace) -> None:
         print(f"seed {seed}: {ours} views; best of {args.starts} starts {min(starts)}, median {np.median(starts):.0f}", flush=True)
 
 
+def whole(args: argparse.Namespace) -> None:
+    """Dry runs of plans/part.yaml, each of another fake cell, merged and compared with the true mesh."""
+    loaded = load(PLANS / "part.yaml")
+    poses = expand(loaded)
+    for seed in range(args.first, args.first + args.cells):
+        with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+            run = plan_acquisition(loaded, poses, frozenset(), 0, f"the fake cell of seed {seed}")
+            run.folder = new_run_folder(Path(folder) / "run", "part")
+            with device_overrides(loaded, poses, dry_run=True, seed=seed, assume_yes=True) as overrides:
+                run.execute(overrides, [])
+            cell = calibrate(load_observations(run.folder))
+            done = merge_scans(run.folder, Path(folder) / "merged.ply", result=cell, cad=PLANS / "parts" / "freeform.stl")
+        found, off = done.agreement, done.deviations
+        assert off is not None
+        nees = np.mean([pair.normalised["geometry"] for pair in found.pairs])
+        print(
+            f"seed {seed}: before {found.rms_mm('before'):.3f}, after {found.rms_mm('geometry'):.4f}, expected {found.expected_mm:.4f} mm, "
+            f"ratio {found.ratio:.3f}, NEES {nees:.2f}; from the mesh: mean {off.mean_mm:+.4f}, rms {off.rms_mm:.4f} "
+            f"(expected {off.expected_mm:.4f}) mm, {off.beyond_U:.3f} beyond U",
+            flush=True,
+        )
+
+
+def confirm(args: argparse.Namespace) -> None:
+    """Concealed elasticity of A2 and A3, found in the balls of plans/concealed.yaml, and tried on 25 scans of a part."""
+    plan, part = (yaml12.load((PLANS / f"{name}.yaml").read_text(encoding="utf-8")) for name in ("concealed", "part"))
+    plan["artefacts"].append("parts/freeform.yaml")
+    plan["stations"].append({"id": "part", "artefact": "freeform", "pose_in_base": {"translation_mm": [760, 0, 120], "abc_deg": [0, 0, 0]}})
+    at = [[-50, -25, 40], [50, 25, 40], [-50, 25, 40], [50, -25, 40], [0, 0, 40]]
+    ways = [(10, 0, "positive"), (33, 60, "positive"), (30, -60, "negative"), (36, 20, "positive"), (30, 100, "negative")]
+    each = [(p, *way) for way in ways for p in at]
+    views = [
+        {"at_mm": p, "tilt_deg": tilt, "azimuth_deg": 137 * k % 360, "roll_deg": roll, "wrist": wrist}
+        for k, (p, tilt, roll, wrist) in enumerate(each)
+    ]
+    plan["steps"].insert(-1, part["steps"][3] | {"views": views})
+    plan["scanner"]["resolution_mm"] = 0.6
+    sizes = {"A2": args.compliance * 1e-6, "A3": 1.5 * args.compliance * 1e-6}
+    plan["fake"] = {"seed": 1, "hidden": [{"name": "joint_compliance", "where": w, "compliance_rad_per_Nm": s} for w, s in sizes.items()]}
+    loaded = load(PLANS / "confirm.yaml", yaml12.dump(plan))
+    poses = expand(loaded)
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        run = plan_acquisition(loaded, poses, frozenset(), 0, "the fake cell")
+        run.folder = new_run_folder(Path(folder) / "run", "part")
+        with device_overrides(loaded, poses, dry_run=True, seed=0, assume_yes=True) as overrides:
+            run.execute(overrides, [])
+        print(diagnose(run.folder, workers=1).text)
+
+
 def memory(args: argparse.Namespace) -> None:
     """Peak memory of a merge, by the number of points."""
     import part_shapes
@@ -242,6 +295,8 @@ if __name__ == "__main__":
                 "arm": (arm, [COUNT]),
                 "steps": (steps, [option("--pairs", type=int, default=40, help="pairs of each shape")]),
                 "check": (check, [COUNT]),
+                "whole": (whole, [COUNT, option("--first", type=int, default=1), option("--folder", type=Path, default=Path())]),
+                "confirm": (confirm, [option("--compliance", type=float, default=5.0), option("--folder", type=Path, default=Path())]),
                 "views": (views, [option("--cells", type=int, default=3, help="seeds"), option("--starts", type=int, default=50)]),
                 "memory": (
                     memory,

@@ -192,8 +192,8 @@ def nominal(obs: Observations) -> CellState:
 
 
 def hand_eye_only(obs: Observations) -> CellState | CalibratedCell:
-    """Nominal arm; hand-eye and stations by maximum likelihood."""
-    return _with_instrument(obs, calibrate(obs, CalibrationOptions(kinematics=False)))
+    """Nominal arm; hand-eye and stations by maximum likelihood, of a recording that contradicts its description as well."""
+    return _with_instrument(obs, calibrate(obs, CalibrationOptions(kinematics=False, refuse=False)))
 
 
 def _with_instrument(obs: Observations, cell: CalibratedCell) -> CellState | CalibratedCell:

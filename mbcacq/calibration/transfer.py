@@ -33,6 +33,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
+OVERLAPS = "overlaps"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,9 @@ class Transfer(AsJson):
     Attributes
     ----------
     place : str
-        'fitted' (base, tool, stations of the recording) or 'known' (nothing).
+        'fitted' (base, tool, stations of the recording), 'known' (nothing), or 'overlaps': the scans of a part were compared with each
+        other. ``poses`` are then scans and ``centres`` overlaps of two, and chi2_dof is the mean of their squared steps over what the
+        calibrated cell expects.
     own_geometry : TransferFigures or None
         Misfit of a geometric calibration of that recording itself, the best that geometry alone can do there; None if it cannot
         be had.
@@ -111,10 +114,8 @@ class Transfer(AsJson):
     @property
     def text(self) -> str:
         """The figures in plain sentences."""
-        how = self.fitted if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, all {self.centres} centres, {how}): "
-            f"{self._compared('rms_mm', micrometres)}.",
+            f"On {self.recording or 'the other recording'} ({self.tried_on}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
         if self.robust:
@@ -138,6 +139,13 @@ class Transfer(AsJson):
         if self.normalised_error:
             out.append(f"  error over stated uncertainty: {self.normalised_error.in_words}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
+
+    @property
+    def tried_on(self) -> str:
+        """Numbers of what it was tried on, in words."""
+        if self.place == OVERLAPS:
+            return f"{self.poses} scans, {self.centres} overlaps, each scan against the others"
+        return f"{self.poses} poses, all {self.centres} centres, {self.fitted if self.place == 'fitted' else 'nothing fitted'}"
 
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
         """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""

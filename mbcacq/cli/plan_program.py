@@ -21,7 +21,6 @@ def program(
     plan: Path = argument(PlanPath()),
     dialect: str = option("Language of the controller.", list(LANGUAGES), "--for", required=True),
     out: Path = option("Folder to write to.", required=True),
-    name: str = option("Name of the program, at most 12 characters.", default="mbcacq_poses"),
     wait: Literal["output", "pause", "key"] = option("How to wait at a pose.", ["output", "pause", "key"], default="output"),
     output: int = option("Digital output that triggers the scanner.", click.IntRange(0, 4096), default=1),
     exposure: float | None = option("Seconds to wait for one cloud [default: the plan's scan_time_s + 1].", click.FloatRange(0, 600)),
@@ -47,7 +46,7 @@ def program(
         loaded = load(plan)
         trigger = Trigger(wait, output, exposure_s=loaded.plan.scanner.scan_time_s + 1.0 if exposure is None else exposure)
         done = frozenset[int]() if resume is None else poses_done(resume)
-        files = robot_program(loaded, dialect, name=name, trigger=trigger, done=done)
+        files = robot_program(loaded, dialect, trigger=trigger, done=done)
         written = write(files, out, replace)
     return Answer(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},

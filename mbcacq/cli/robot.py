@@ -30,7 +30,6 @@ def import_(
     convention: str | None = option("Convention of a table of DH rows.", ["standard", "modified"]),
     packages: tuple[str, ...] = option("Folder of a ROS package that a xacro names.", None, "--package", metavar="NAME=DIR"),
     arguments: tuple[str, ...] = option("Value of an argument of a xacro.", None, "--arg", metavar="NAME=VALUE"),
-    name: str | None = option("Name of the arm [default: the file's own]."),
     speed: float | None = option("Largest joint speed, in °/s, if the file states none.", click.FloatRange(0, 1000, min_open=True)),
     force: bool = option("Replace the robot file if it exists."),
 ) -> Answer:
@@ -56,7 +55,6 @@ def import_(
             base=base,
             flange=flange,
             convention=convention,  # type: ignore[arg-type]
-            name=name,
             speed_deg_s=speed,
             packages=folders,
             arguments=given,

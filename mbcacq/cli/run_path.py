@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 import click
 
-from mbcacq.errors import command_line
+from mbcacq.errors import ConfigError, command_line, nearest
 
 
 class RunPath(click.Path):
@@ -30,6 +31,8 @@ class RunPath(click.Path):
         assert isinstance(path, Path), "path_type asks for it"
         kinds = frozenset(RunKind if self._every_kind else map(RunKind, self._kinds)) or CALIBRATED_FROM
         run = named_run(path, kinds)
+        if not os.path.lexists(run) and (meant := nearest(run.name, ["latest", *(one.name for one in run.parent.glob("*"))])):
+            raise ConfigError(f"{run} does not exist{meant}")
         refuse_other_kind(run, kinds | {RunKind.CHECK} if self._checks_too else kinds)
         folder = run if run.is_dir() else run.parent
         if (folder / INCOMPLETE).exists():
@@ -42,7 +45,7 @@ def judge_first(result: Path) -> tuple[str, str]:
     its result with effects, or a result.json."""
     run = folder_of(result)
     if run is None:
-        return "write down first what the result holds, parameter by parameter", command_line("export", result, "--results", "results")
+        return "judge it first by further poses", command_line("verify", result, "OTHER")
     return "see first how far the result is to be trusted, and where", command_line("report", run)
 
 

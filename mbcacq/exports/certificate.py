@@ -59,11 +59,6 @@ class Certificate:
     notes: tuple[str, ...]
 
 
-def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Artefact:
-    """The artefact of ``read_certificate_file``, where what was not used is of no interest."""
-    return read_certificate_file(path, artefact_id, name).artefact
-
-
 def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") -> Certificate:
     """An Artefact from a certificate: .csv, .yaml/.yml, or DMIS output (.dmo, .dmi, .dms). Raises ConfigError with file and line.
 

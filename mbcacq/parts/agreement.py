@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
-from mbcacq.parts.overlap import Overlap, cells_of, overlap
+from mbcacq.parts.overlap import SurfaceCells, surface_cells
 from mbcacq.parts.placement import CellPlacement
-from mbcacq.parts.scans import PartScan, ScanSurface, spacing
-from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step, smooth_noise
+from mbcacq.parts.scans import PartScan, ScanSurface
+from mbcacq.parts.scene import brought_together, cell_edge
+from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step
 
 CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
 
@@ -23,15 +23,15 @@ CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
 class PairOfScans:
     """A pair of scans: the numbers of their poses, and by how much they disagree over their overlap (3D rms, mm).
 
-    by_placement: name -> mm. expected_mm: of the last placement, k = 1. normalised: squared step over its covariance, per determined
-    direction.
+    by_placement: name -> mm. expected_mm: of the last placement, k = 1. normalised: name -> squared step over the covariance that the last
+    placement states, per determined direction.
     """
 
     poses: tuple[int, int]
     step: RigidStep
     by_placement: dict[str, float]
     expected_mm: float
-    normalised: float
+    normalised: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
         step = self.step
@@ -107,111 +107,65 @@ class Agreement:
         }
 
 
-@dataclass(frozen=True)
-class _Placed:
-    """A thinned scan: with its surface in the scanner frame, and its points and normals in the base frame by the best placement."""
-
-    scan: PartScan
-    surface: ScanSurface
-    points: np.ndarray
-    normals: np.ndarray
-
-    def moved(self, twist: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points and normals once a step about a centre is taken back."""
-        T = se3.exp(-twist)
-        return se3.apply(T, self.points - centre) + centre, self.normals @ T[:3, :3].T
-
-
-def agreement(scans: Sequence[tuple[PartScan, ScanSurface]], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
-    """Compare all scans that overlap. scans: thinned, with their surfaces. Raises ConfigError if no two overlap enough."""
+def agreement(scans: Sequence[ScanSurface], placements: Sequence[CellPlacement], options: PartOptions) -> Agreement:
+    """Compare all scans that overlap, thinned, once all are brought together. Raises ConfigError if no two overlap enough."""
     best = placements[-1]
-    placed = [_placed(scan, surface, best) for scan, surface in scans]
-    edge = options.spacings_per_cell * spacing(placed[0].points)
-    pairs = _pairs(placed, edge, options)
-    near = [(i, j, *_in_place(placed[i], placed[j], edge, options)) for i, j in pairs]
-    near = [one for one in near if len(one[2]) >= options.cells[0]]
-    if not near:
-        raise ConfigError("no two scans of this part overlap enough to be compared; scan it with views that share a third of what they see")
-    noise = smooth_noise([cells for _, _, cells, *_ in near], options)
-    found = tuple(_pair(placed[i], placed[j], cells, base, noise, placements, options) for i, j, cells, base in near)
+    T = np.stack([best.frame(scan.q) for scan in scans])
+    # As the effects have their points.
+    back = se3.inverse(T)
+    placed = [replace(scan, points=se3.apply(M, best.to_base(scan.q, scan.points))) for M, scan in zip(back, scans, strict=True)]
+    together = brought_together(placed, T, options)
+    cells, noise = together.cells, together.noise.of_two
+    moved = together.T_base_scanner @ back
+    found = []
+    for i, j in _pairs(cells, len(scans), options):
+        step = rigid_step(cells.pair(i, j), noise, options)
+        taken = [np.r_[se3.apply(moved[k], step.centre) - step.centre, se3.rotation_log(moved[k, :3, :3])] for k in (i, j)]
+        step = replace(step, twist=step.shown(step.twist - taken[0] + taken[1]))
+        found.append(_pair([scans[k] for k in (i, j)], T[[i, j]], step, placements))
     used = {pose for pair in found for pose in pair.poses}
     # Where the part is smooth, the scatter is the scanner's own.
     scatter = float(np.quantile(np.concatenate([pair.step.cells.scatter for pair in found]), 0.25))
-    alone = tuple(one.scan.number for one in placed if one.scan.number not in used)
-    return Agreement(tuple(p.name for p in placements), found, noise, scatter, alone)
+    alone = tuple(scan.number for scan in scans if scan.number not in used)
+    return Agreement(tuple(p.name for p in placements), tuple(found), noise, scatter, alone)
 
 
-def _placed(scan: PartScan, surface: ScanSurface, best: CellPlacement) -> _Placed:
-    points = best.to_base(scan.q, surface.points)
-    rotation = (best.cell.frames(scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner)[:3, :3]
-    return _Placed(scan, surface, points, surface.normals @ rotation.T)
+def offsets(scans: Sequence[ScanSurface], placement: CellPlacement, times: float, options: PartOptions) -> np.ndarray:
+    """(g, 4): middles of the cells that scans share, as each of them has it: off their mean by so many times as much (mm, base frame), and
+    the index of the scan."""
+    placed = [(placement.to_base(one.q, one.points), one.normals @ placement.frame(one.q)[:3, :3].T) for one in scans]
+    cells = surface_cells(placed, cell_edge(scans, options), options)
+    mean = np.bincount(cells.cell, cells.height) / np.bincount(cells.cell)
+    off = times * (cells.height - mean[cells.cell])
+    return np.column_stack([cells.point[cells.cell] + off[:, None] * cells.normal[cells.cell], cells.scan])
 
 
-def _pairs(placed: Sequence[_Placed], edge: float, options: PartOptions) -> list[tuple[int, int]]:
-    """Pairs that share most cells: of each scan its largest overlaps."""
-    from scipy.sparse import csr_array
-
-    keys = [np.unique(cells_of(one.points, edge)) for one in placed]
-    column = np.unique(np.concatenate(keys), return_inverse=True)[1]
-    row = np.repeat(np.arange(len(keys)), [len(k) for k in keys])
-    occupied = csr_array((np.ones(len(row), np.int32), (row, column)))
-    shared = (occupied @ occupied.T).toarray()
+def _pairs(cells: SurfaceCells, count: int, options: PartOptions) -> list[tuple[int, int]]:
+    """Pairs that share enough cells: of each scan its largest overlaps."""
+    shared = cells.shared(count)
     np.fill_diagonal(shared, 0)
-    out = set()
-    for i, line in enumerate(shared):
-        for j in np.argsort(line)[::-1][: options.neighbours]:
-            if line[j] >= options.cells[0]:
-                out.add((min(i, int(j)), max(i, int(j))))
-    return sorted(out)
+    largest = np.argsort(shared, axis=1)[:, ::-1][:, : options.neighbours]
+    pairs = {(min(i, j), max(i, j)) for i, line in enumerate(largest.tolist()) for j in line if shared[i, j] >= options.cells[0]}
+    return sorted(pairs)
 
 
-def _in_place(a: _Placed, b: _Placed, edge: float, options: PartOptions) -> tuple[Overlap, tuple[np.ndarray, np.ndarray]]:
-    """Their overlap once the first was brought onto the second, and the motion (twist, centre) that did so.
-
-    The distances are then small against the cells, and what was taken back is a step like any other.
-    """
-    plain, twist, centre = SmoothNoise(0.0, 1.0), np.zeros(6), np.concatenate([a.points, b.points]).mean(axis=0)
-    cells = overlap((a.points, a.normals), (b.points, b.normals), edge, options)
-    for _ in range(options.steps):
-        if len(cells) < options.cells[0] or float(np.sqrt(np.mean(cells.distance**2))) < options.captured * edge / 2:
-            break
-        step = rigid_step(cells, plain, options)
-        turn = step.twist[3:]
-        twist = twist + np.concatenate([step.twist[:3] + np.cross(turn, centre - step.centre), turn])
-        cells = overlap(a.moved(twist, centre), (b.points, b.normals), edge, options)
-    return cells, (twist, centre)
-
-
-def _pair(
-    a: _Placed,
-    b: _Placed,
-    cells: Overlap,
-    base: tuple[np.ndarray, np.ndarray],
-    noise: SmoothNoise,
-    placements: Sequence[CellPlacement],
-    options: PartOptions,
-) -> PairOfScans:
-    step = rigid_step(cells, noise, options)
-    taken, at = base
-    back = np.concatenate([taken[:3] + np.cross(taken[3:], step.centre - at), taken[3:]])
-    step = replace(step, twist=step.shown(step.twist + back))
+def _pair(scans: Sequence[PartScan], T: np.ndarray, step: RigidStep, placements: Sequence[CellPlacement]) -> PairOfScans:
+    """T: (2, 4, 4), of both by the best placement."""
     best = placements[-1]
-    corners = [_corners(one, step.cells.point, best) for one in (a, b)]
-    both = list(zip((a, b), corners, strict=True))
-    (of_a, joints_a), (of_b, joints_b) = (best.twist_columns(one.scan.q, xyz, step.centre) for one, xyz in both)
+    both = [(scan.q, _corners(M, step.cells.point)) for scan, M in zip(scans, T, strict=True)]
+    (of_a, joints_a), (of_b, joints_b) = (best.twist_columns(q, xyz, step.centre) for q, xyz in both)
     difference = of_a - of_b
     covariance = difference @ best.cell.covariance @ difference.T + joints_a @ joints_a.T + joints_b @ joints_b.T + step.covariance
-    by_placement = {}
+    by_placement, normalised = {}, {}
     for placement in placements:
-        moves = [_nearest_motion(placement, best, one.scan.q, xyz, step.centre) for one, xyz in both]
-        by_placement[placement.name] = step.rms_mm(step.twist + moves[0] - moves[1])
-    poses = (a.scan.number, b.scan.number)
-    return PairOfScans(poses, step, by_placement, step.expected_mm(covariance), step.normalised(covariance))
+        moves = [_nearest_motion(placement, best, q, xyz, step.centre) for q, xyz in both]
+        twist = step.shown(step.twist + moves[0] - moves[1])
+        by_placement[placement.name], normalised[placement.name] = step.rms_mm(twist), step.normalised(twist, covariance)
+    return PairOfScans((scans[0].number, scans[1].number), step, by_placement, step.expected_mm(covariance), normalised)
 
 
-def _corners(one: _Placed, cells: np.ndarray, best: CellPlacement) -> np.ndarray:
+def _corners(T: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """(8, 3) mm corners of the overlap's box in the scanner frame of a scan."""
-    T = best.cell.frames(one.scan.q[None])[0, -1] @ best.cell.state.T_flange_scanner
     seen = se3.apply(se3.inverse(T), cells)
     low, high = seen.min(axis=0), seen.max(axis=0)
     low[2], high[2] = low[2] - 5.0, high[2] + 5.0  # a flat overlap still has a box

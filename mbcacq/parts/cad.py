@@ -12,7 +12,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.mesh_file import Mesh
 from mbcacq.files.open3d_library import open3d
 from mbcacq.geometry import se3
-from mbcacq.parts.merge import POINT, merged_points
+from mbcacq.parts.merge import merged_points, xyz_of
 from mbcacq.parts.options import PartOptions
 from mbcacq.quantities import K
 
@@ -100,7 +100,7 @@ def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: P
     every = max(1, len(points) // MOST_DRAWN)
     for start in range(0, len(points), CHUNK):
         some = points[start : start + CHUNK]
-        placed = se3.apply(se3.inverse(T), _xyz(some))
+        placed = se3.apply(se3.inverse(T), xyz_of(some))
         along = surface.distances(placed)[0]
         near = np.abs(along) < options.cad_reach_mm
         apart += int((~near).sum())
@@ -151,7 +151,7 @@ class _Surface:
 
     def fitted(self, points: np.ndarray, T: np.ndarray, options: PartOptions) -> np.ndarray:
         """T_base_cad of the best fit, point to plane, from a rough one; points far off by a robust measure do not count."""
-        base, weight = _xyz(points), 1 / points["sigma_mm"].astype(float)
+        base, weight = xyz_of(points), 1 / points["sigma_mm"].astype(float)
         for _ in range(options.fit_rounds):
             placed = se3.apply(se3.inverse(T), base)
             along, nearest, normal = self.distances(placed)
@@ -165,8 +165,3 @@ class _Surface:
             if np.abs(step[:3]).max() < 1e-5 and np.abs(turn).max() < 1e-8:
                 break
         return T
-
-
-def _xyz(points: np.ndarray) -> np.ndarray:
-    assert points.dtype == POINT, "a merged cloud"
-    return np.stack([points[axis] for axis in "xyz"], axis=1).astype(float)

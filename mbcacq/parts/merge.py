@@ -19,7 +19,7 @@ from mbcacq.files.ply_header import read_header
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
 from mbcacq.parts.placement import CellPlacement, CommonMotion
-from mbcacq.parts.scans import PartScan, Scans, ScanSurface, surface_of
+from mbcacq.parts.scans import Scans, ScanSurface, surface_of
 from mbcacq.spheres.ply import ply_header
 
 # A point of the merged cloud. sigma_mm, sigma_base_mm: standard uncertainty along its normal, by the cell, the joints and the scanner,
@@ -56,7 +56,7 @@ def merge(
         blocks = _Blocks(Path(folder), voxel_mm, options)
         count = 0
         for scan in scans():
-            blocks.add(_points(scan, surface_of(scan), placement, common, noise_mm))
+            blocks.add(_points(surface_of(scan), placement, common, noise_mm))
             count += 1
         kept, sigma = 0, []
         body = Path(folder) / "body"
@@ -82,20 +82,17 @@ def merged_points(path: Path) -> np.ndarray:
     return np.memmap(path, POINT, "r", header.size, (header.elements[0].count,))
 
 
-def _points(
-    scan: PartScan, surface: ScanSurface, placement: CellPlacement, common: CommonMotion, noise_mm: tuple[float, float]
-) -> np.ndarray:
+def _points(surface: ScanSurface, placement: CellPlacement, common: CommonMotion, noise_mm: tuple[float, float]) -> np.ndarray:
     """The points of a scan as ``POINT``."""
     single, together = noise_mm
     out = np.empty(len(surface.points), POINT)
-    T = placement.cell.frames(scan.q[None])[0, -1] @ placement.cell.state.T_flange_scanner
-    normals = surface.normals @ T[:3, :3].T
+    normals = surface.normals @ placement.frame(surface.q)[:3, :3].T
     seen = (single / surface.facing) ** 2 + together**2
     for name, moved in (("sigma_mm", common), ("sigma_base_mm", None)):
-        known = placement.covariance_over(scan.q, surface.points, moved).variance_along(surface.points, normals)
+        known = placement.covariance_over(surface.q, surface.points, moved).variance_along(surface.points, normals)
         out[name] = np.sqrt(known + seen)
-    out["scan"] = scan.number
-    for name, values in zip(POINT.names or (), [*placement.to_base(scan.q, surface.points).T, *normals.T], strict=False):
+    out["scan"] = surface.number
+    for name, values in zip(POINT.names or (), [*placement.to_base(surface.q, surface.points).T, *normals.T], strict=False):
         out[name] = values
     return out
 
@@ -109,7 +106,7 @@ class _Blocks:
 
     def add(self, points: np.ndarray) -> None:
         self.read += len(points)
-        key = cells_of(_xyz(points), self._edge)
+        key = cells_of(xyz_of(points), self._edge)
         order = np.argsort(key, kind="stable")
         block, start = np.unique(key[order], return_index=True)
         for name, some in zip(block.tolist(), np.split(points[order], start[1:]), strict=True):
@@ -120,14 +117,15 @@ class _Blocks:
         """Block by block, of each voxel its best known point."""
         for path in sorted(self._folder.glob("block-*")):
             points = np.fromfile(path, POINT)
-            voxel = cells_of(_xyz(points), self._voxel)
+            voxel = cells_of(xyz_of(points), self._voxel)
             order = np.lexsort((points["sigma_mm"], voxel))
             first = np.unique(voxel[order], return_index=True)[1]
             yield points[np.sort(order[first])]
             path.unlink()
 
 
-def _xyz(points: np.ndarray) -> np.ndarray:
+def xyz_of(points: np.ndarray) -> np.ndarray:
+    """(N, 3) mm of points of a merged cloud."""
     return np.stack([points[axis] for axis in "xyz"], axis=1).astype(float)
 
 

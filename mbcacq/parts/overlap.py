@@ -74,6 +74,13 @@ class SurfaceCells:
     height: np.ndarray
     variance: np.ndarray
 
+    def shared(self, count: int) -> np.ndarray:
+        """(count, count) numbers of cells that two scans share."""
+        from scipy.sparse import csr_array
+
+        at = csr_array((np.ones(len(self.cell), int), (self.scan, self.cell)), shape=(count, len(self.point)))
+        return (at @ at.T).toarray()
+
     def groups(self, which: np.ndarray) -> SurfaceCells:
         """Some of the groups, by mask; cells that no two of these share go."""
         which = which & (np.bincount(self.cell[which], minlength=len(self.point)) > 1)[self.cell]
@@ -96,11 +103,6 @@ class SurfaceCells:
         a, b = a[first], b[second]
         distance, variance = self.height[a] - self.height[b], self.variance[a] + self.variance[b]
         return Overlap(self.point[cells], self.normal[cells], distance, variance, self.scatter[cells])
-
-
-def overlap(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], edge: float, options: PartOptions) -> Overlap:
-    """Compare two scans, each given as points and unit normals (N, 3) in the base frame; edge of the cells in mm."""
-    return surface_cells([a, b], edge, options).pair(0, 1)
 
 
 def surface_cells(scans: Sequence[tuple[np.ndarray, np.ndarray]], edge: float, options: PartOptions) -> SurfaceCells:

@@ -22,10 +22,14 @@ class CellPlacement:
     name: str
     cell: CalibratedCell
 
+    def frame(self, q: np.ndarray) -> np.ndarray:
+        """T_base_scanner (4, 4) at joints q (n,)."""
+        return self.cell.frames(q[None])[0, -1] @ self.cell.state.T_flange_scanner
+
     def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
         """Points (N, 3) mm seen at joints q (n,) in the base frame, effects included."""
         out = np.empty((len(xyz), 3))
-        T = self.cell.frames(q[None])[0, -1] @ self.cell.state.T_flange_scanner
+        T = self.frame(q)
         for start in range(0, len(xyz), CHUNK):
             some = xyz[start : start + CHUNK].astype(float)
             if self.cell.effects:

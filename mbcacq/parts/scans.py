@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,10 +37,9 @@ Scans = Callable[[], Iterator[PartScan]]  # reads them anew, one at a time: all 
 
 
 @dataclass(frozen=True)
-class ScanSurface:
-    """Points (N, 3) mm of a scan in its scanner's frame, with unit normals (N, 3) towards the scanner."""
+class ScanSurface(PartScan):
+    """A scan with unit normals (N, 3) towards the scanner."""
 
-    points: np.ndarray
     normals: np.ndarray
 
     @property
@@ -57,13 +56,13 @@ def surface_of(scan: PartScan) -> ScanSurface:
     cloud = open3d().geometry.PointCloud(open3d().utility.Vector3dVector(points))
     cloud.estimate_normals(open3d().geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     normals = np.asarray(cloud.normals)
-    return ScanSurface(points, normals * np.where(normals[:, 2:] < 0, -1.0, 1.0))
+    return ScanSurface(scan.number, scan.q, points, normals * np.where(normals[:, 2:] < 0, -1.0, 1.0))
 
 
 def thinned(surface: ScanSurface, most: int) -> ScanSurface:
     """At most about ``most`` of its points, spread evenly over their order."""
     every = max(1, -(-len(surface.points) // most))
-    return ScanSurface(surface.points[::every], surface.normals[::every])
+    return replace(surface, points=surface.points[::every], normals=surface.normals[::every])
 
 
 def spacing(points: np.ndarray) -> float:

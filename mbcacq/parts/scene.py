@@ -75,7 +75,23 @@ class _Motions:
     residual: np.ndarray
 
 
-def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> RegisteredScene:
+@dataclass(frozen=True)
+class RegisteredScans:
+    """N scans that were brought together.
+
+    T_base_scanner: (N, 4, 4) mm. used: numbers of those that hang together. noise: of one scan. cells: of all scans, as they are
+    placed. middle: (3,) mm of the surface.
+    """
+
+    T_base_scanner: np.ndarray
+    used: np.ndarray
+    noise: SmoothNoise
+    cells: SurfaceCells
+    motions: _Motions
+    middle: np.ndarray
+
+
+def brought_together(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> RegisteredScans:
     """Bring thinned scans together.
 
     Parameters
@@ -92,38 +108,49 @@ def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, option
     ConfigError
         No two scans overlap enough.
     """
-    edge, T = options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces])), T_base_scanner
+    edge, T = cell_edge(surfaces, options), T_base_scanner
     for factor in options.coarse:
         fewer = [thinned(surface, int(len(surface.points) / factor**2)) for surface in surfaces]
         for _ in range(options.steps):
-            cells, used = _connected(fewer, T, edge * factor, max(8, int(options.cells[0] / factor)), options)
+            cells, used = _connected(_cells(fewer, T, edge * factor, options), len(T), max(8, int(options.cells[0] / factor)), options)
             T, moved = _moved(T, used, _motions(cells, len(used), PLAIN, options))
             if moved < options.captured * edge * factor / 4:
                 break
-    cells, used = _connected(surfaces, T, edge, options.cells[0], options)
+    every = _cells(surfaces, T, edge, options)
+    cells, used = _connected(every, len(T), options.cells[0], options)
     noise = _noise(cells, len(used), options)
     found = _without_gross(cells, len(used), noise, options)
     for _ in range(options.steps):
         T, moved = _moved(T, used, found)
+        every = _cells(surfaces, T, edge, options)
         if moved < noise.sigma_mm:
             break
-        cells, used = _connected(surfaces, T, edge, options.cells[0], options)
+        cells, used = _connected(every, len(T), options.cells[0], options)
         found = _without_gross(cells, len(used), noise, options)
-    return _scene(T, used, found, cells.point.mean(axis=0), noise, tuple(sorted({*range(len(surfaces))} - {*used.tolist()})))
+    return RegisteredScans(T, used, noise, every, found, cells.point.mean(axis=0))
 
 
-def _connected(
-    surfaces: Sequence[ScanSurface], T: np.ndarray, edge: float, least: int, options: PartOptions
-) -> tuple[SurfaceCells, np.ndarray]:
+def cell_edge(surfaces: Sequence[ScanSurface], options: PartOptions) -> float:
+    """Edge in mm of the cells in which scans are compared."""
+    return options.spacings_per_cell * float(np.median([spacing(s.points) for s in surfaces]))
+
+
+def register(surfaces: Sequence[ScanSurface], T_base_scanner: np.ndarray, options: PartOptions) -> RegisteredScene:
+    """Bring scans together as ``brought_together`` does, and say how well that is known."""
+    return _scene(brought_together(surfaces, T_base_scanner, options))
+
+
+def _cells(surfaces: Sequence[ScanSurface], T: np.ndarray, edge: float, options: PartOptions) -> SurfaceCells:
+    placed = [(se3.apply(M, s.points), s.normals @ M[:3, :3].T) for M, s in zip(T, surfaces, strict=True)]
+    return surface_cells(placed, edge, options)
+
+
+def _connected(cells: SurfaceCells, count: int, least: int, options: PartOptions) -> tuple[SurfaceCells, np.ndarray]:
     """The cells of the largest set of scans that hang together by ``least`` cells each, at most ``options.scene_cells``, and the numbers of
     these scans."""
-    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    placed = [(se3.apply(M, s.points), s.normals @ M[:3, :3].T) for M, s in zip(T, surfaces, strict=True)]
-    cells = surface_cells(placed, edge, options)
-    at = csr_array((np.ones(len(cells.cell)), (cells.scan, cells.cell)), shape=(len(surfaces), len(cells.point)))
-    _, label = connected_components((at @ at.T).toarray() >= least)
+    _, label = connected_components(cells.shared(count) >= least)
     used = np.flatnonzero(label == np.bincount(label).argmax())
     if len(used) < 2:
         raise ConfigError("no two scans of this part overlap enough to be compared; scan it with views that share a third of what they see")
@@ -204,9 +231,8 @@ def _motions(cells: SurfaceCells, count: int, noise: SmoothNoise, options: PartO
     return _Motions(twist, np.array(centre), directions, open_, information, own, residual)
 
 
-def _scene(
-    T: np.ndarray, used: np.ndarray, found: _Motions, origin: np.ndarray, noise: SmoothNoise, left_out: tuple[int, ...]
-) -> RegisteredScene:
+def _scene(of: RegisteredScans) -> RegisteredScene:
+    T, used, found, origin = of.T_base_scanner, of.used, of.motions, of.middle
     own = _diagonal([np.linalg.inv(block) for block in found.own])
     root = np.linalg.cholesky(own)
     known, V, rest = _modes(found.information, LEAST_INFORMATION)
@@ -233,8 +259,8 @@ def _scene(
         covariance=blocks,
         shared=shared.reshape(len(used), 6, -1),
         T_base_scene=T_base_scene,
-        left_out=left_out,
-        noise=noise,
+        left_out=tuple(sorted({*range(len(T))} - {*used.tolist()})),
+        noise=of.noise,
     )
 
 

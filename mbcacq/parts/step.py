@@ -31,6 +31,11 @@ class SmoothNoise:
     length_mm: float
     share: float = 1.0
 
+    @property
+    def of_two(self) -> SmoothNoise:
+        """That of the distance of two scans, if this is of one."""
+        return replace(self, sigma_mm=np.sqrt(2) * self.sigma_mm)
+
     def covariance(self, cells: Overlap) -> np.ndarray:
         """(c, c) mm^2 of the distances."""
         return self.covariance_of(cells.point, cells.variance)
@@ -90,10 +95,10 @@ class RigidStep:
         moved = rigid_columns(self.cells.point - self.centre) @ P
         return float(np.sqrt(np.mean(np.einsum("kci,ij,kcj->k", moved, covariance, moved))))
 
-    def normalised(self, covariance: np.ndarray) -> float:
-        """Squared error of the step in the determined directions over what a covariance (6, 6) expects, per direction (NEES)."""
+    def normalised(self, twist: np.ndarray, covariance: np.ndarray) -> float:
+        """Square of a twist (6,) in the determined directions over what a covariance (6, 6) expects, per direction (NEES)."""
         G = self.determined.T * self.scaled
-        return float((G @ self.twist) @ np.linalg.solve(G @ covariance @ G.T, G @ self.twist) / G.shape[0])
+        return float((G @ twist) @ np.linalg.solve(G @ covariance @ G.T, G @ twist) / G.shape[0])
 
     @property
     def undetermined(self) -> list[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
@@ -38,8 +39,6 @@ WHOLE_WIDTH_FIGURES = ("pose", "joints", "states", "correlation", "evidence_map"
 
 def render(content: Content, *, paper: bool = False) -> str:
     """HTML of a report. Every text is escaped; the plotting library is inlined once. paper: figures as pictures, and nothing that moves."""
-    from markupsafe import Markup
-
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
     motion = content.motion
@@ -73,8 +72,6 @@ def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
 
 def _scene(content: Content) -> Any:
     """What the view that turns draws, as JSON: points by phase and the arm, mm in the base; None where no ball has a place."""
-    from markupsafe import Markup
-
     coverage = content.coverage
     if coverage is None or coverage.balls is None or coverage.ball_phase is None:
         return None
@@ -107,8 +104,6 @@ def render_fleet(fleet: FleetContent, title: str = "Fleet") -> str:
 
 def render_changes(changes: RunComparison, spacings: Sequence[tuple[str, Spacing]], *, simulated: bool) -> str:
     """HTML of two recordings compared. spacings: the verification of each that has one, by its name."""
-    from markupsafe import Markup
-
     figures = {name: change_charts.changes(rows) for _, name, rows in changes.charts}
     pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in spacings]
     return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures, simulated=simulated)
@@ -142,8 +137,6 @@ def _environment() -> Environment:
 
 
 def _template(name: str, **values: Any) -> str:
-    from markupsafe import Markup
-
     scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
     kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
     return _environment().get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
@@ -155,8 +148,6 @@ def curve_title(effect: str, location: str) -> str:
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:
     """Each figure as a picture of the width that it has on paper."""
-
-    from markupsafe import Markup
 
     out = {}
     for name, figure in figures.items():
@@ -172,8 +163,6 @@ def _embedded(figures: Mapping[str, Figure]) -> dict[str, Any]:
 
 def _div(name: str, figure: Figure) -> Any:
     """The figure as data next to its place: page.js draws it. Text that could end a script element is written as an escape."""
-    from markupsafe import Markup
-
     data = _script_safe(figure.to_json())
     height = figure.layout.get("height", 300)
     return Markup(

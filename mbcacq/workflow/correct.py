@@ -195,8 +195,8 @@ def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
         )
     if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:
         raise ConfigError(
-            "this result holds the nominal arm (its hand-eye alone was calibrated), so that there is nothing to correct; "
-            "give the result of a calibration of the arm, without --hand-eye-only"
+            "this result holds the nominal arm (its hand-eye alone was calibrated), which nothing corrects or checks; "
+            "give the result of a calibration of the arm, by joint angles and without --hand-eye-only"
         )
 
 

@@ -28,6 +28,7 @@ from mbcacq.workflow.diagnose_simulation import diagnose_against
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, is_run_folder
 from mbcacq.workflow.next_plan import with_reachable_advice
+from mbcacq.workflow.part_scenes import trials_on_parts
 
 
 def diagnose(  # noqa: PLR0913 -- one argument an option of its command
@@ -114,11 +115,12 @@ def _diagnosed(several: list[Data], how: Question, propose: bool) -> DiagnosisRe
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
-    others = to_be_checked(observations, check)
-    found = diagnose_poses(observations, how, formulas=propose, fitted=not check)
+    others = to_be_checked(observations, check, how.place)
+    others += [] if isinstance(one, Observations) else trials_on_parts(Path(one), observations)
+    found = diagnose_poses(observations, how, formulas=propose, fitted=not others)
     found = replace(found, provenance=provenance(one, check, {"place": how.place, "workers": how.workers}))
-    if check:
-        found = checked(observations, found, others, how.place, how.progress)
+    if others:
+        found = checked(observations, found, others, how.progress)
     if isinstance(one, Observations):
         return found
     if is_run_folder(Path(one)):

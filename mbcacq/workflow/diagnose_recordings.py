@@ -13,9 +13,10 @@ from typing import Any
 import numpy
 
 from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects, effects_fitted_with_the_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.description import likely_cause_named
 from mbcacq.calibration.sufficiency import refuse_other_arm
-from mbcacq.calibration.transfer import check_transfer
+from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.executor import cores
 from mbcacq.diagnosis.given_effects import PosesGiven, evidence_given
@@ -35,6 +36,7 @@ from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
 
 Data = Observations | Trajectory | Path | str
+Trial = Callable[[CalibratedCell, CalibratedCell], Transfer]  # of a calibrated cell, and of one that geometry alone gave
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +107,8 @@ def refuse_motion_of_other_arm(poses: RobotModel, motion: RobotModel) -> None:
         )
 
 
-def to_be_checked(learnt: Observations, others: Sequence[Data]) -> list[tuple[str, Observations]]:
-    """The recordings that something learnt is to be tried on, with their names; read beforehand, so that a wrong one costs no diagnosis.
+def to_be_checked(learnt: Observations, others: Sequence[Data], place: str) -> list[tuple[str, Trial]]:
+    """The trials on other recordings, with their names; these are read beforehand, so that a wrong one costs no diagnosis.
 
     Raises ConfigError where one cannot be read or is of another arm.
     """
@@ -117,12 +119,17 @@ def to_be_checked(learnt: Observations, others: Sequence[Data]) -> list[tuple[st
         name = "" if isinstance(other, Observations) else str(other)
         recording, robot = as_observations(other), learnt.cell.robot
         refuse_other_arm("what is learnt is of", robot.name, robot.chain, recording.cell.robot, name or "the other recording")
-        out.append((name, recording))
+        out.append((name, trial_on(recording, name, place)))
     return out
 
 
+def trial_on(recording: Observations, name: str, place: str) -> Trial:
+    """The trial on another recording."""
+    return lambda cell, alone: check_transfer(recording, cell, alone.state.chain, place=place, recording=name)
+
+
 def checked(
-    learnt: Observations, found: DiagnosisResult, others: Sequence[tuple[str, Observations]], place: str, progress: Callable[[str], None]
+    learnt: Observations, found: DiagnosisResult, others: Sequence[tuple[str, Trial]], progress: Callable[[str], None]
 ) -> DiagnosisResult:
     """What was found in a recording, calibrated there once and tried on the others. The diagnosis keeps the effects as they were tried. A
     trial that fails is a note of the diagnosis, which stays.
@@ -141,7 +148,7 @@ def checked(
     for name, other in others:
         progress(f"trying it on {name or 'the other recording'}")
         try:
-            checks.append(check_transfer(other, cell, alone.state.chain, place=place, recording=name))
+            checks.append(other(cell, alone))
         except Exception as error:  # noqa: BLE001 -- whatever it is, the diagnosis is not lost for it
             found = with_note(found, f"what was found could not be tried on {name or 'the other recording'}: {said(error)}")
     if found.poses is not None and cell.effects is not None:

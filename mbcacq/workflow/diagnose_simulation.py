@@ -12,7 +12,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation.simulated_sets import observations_against, trajectory_against
-from mbcacq.workflow.diagnose_recordings import Data, Question, checked, diagnose_poses, is_trajectory, provenance
+from mbcacq.workflow.diagnose_recordings import Data, Question, Trial, checked, diagnose_poses, is_trajectory, provenance, trial_on
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
 
@@ -86,7 +86,7 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     arm = load_arm(model)
     observations = observations_of_model(_one_of_poses(recorded), arm)
     found = diagnose_poses(observations, how)
-    others = [(_name(other), observations_of_model(_one_of_poses([other]), arm)) for other in how.check]
+    others = [(name := _name(other), trial_on(observations_of_model(_one_of_poses([other]), arm), name, how.place)) for other in how.check]
     found = _checked(found, observations, others, how, recorded[0])
     if found.poses is not None:
         found = replace(found, poses=replace(found.poses, notes=(*found.poses.notes, *remarks_on_masses(arm, arm.spec))))
@@ -110,11 +110,11 @@ def _poses_against_set(recorded: Sequence[Data], simulated: Sequence[Data], how:
 
 
 def _checked(
-    found: DiagnosisResult, observations: Observations, others: Sequence[tuple[str, Observations]], how: Question, source: Data
+    found: DiagnosisResult, observations: Observations, others: Sequence[tuple[str, Trial]], how: Question, source: Data
 ) -> DiagnosisResult:
     origin = provenance(source, how.check, {"place": how.place, "workers": how.workers})
     if others:
-        found = checked(observations, found, others, how.place, how.progress)
+        found = checked(observations, found, others, how.progress)
     return replace(found, provenance=origin)
 
 

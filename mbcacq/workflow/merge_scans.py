@@ -17,17 +17,18 @@ from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
-from mbcacq.parts.agreement import Agreement, agreement
+from mbcacq.parts.agreement import Agreement, agreement, offsets
 from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
+from mbcacq.quantities import capitalised
 from mbcacq.recording import load_observations
 from mbcacq.workflow.load import as_cell
-from mbcacq.workflow.part_scenes import scans_at, thinned_scans
+from mbcacq.workflow.part_scenes import scans_at, stations_of_parts, thinned_scans
 
 VOXELS_PER_SPACING = 1.0
-DRAWN = 3000  # points of a scan
+EXAGGERATED = 30.0  # how far scans are off in the viewer: a millimetre of a part is seen, a hundredth is not
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class MergedPart:
     agreement: Agreement
     voxel_mm: float
     simulated: bool
-    scans: dict[str, list[np.ndarray]]  # name of a placement -> some points of each scan, mm, base frame
+    scans: dict[str, np.ndarray]  # name of a placement -> (g, 4) of ``offsets``
     deviations: CadDeviations | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -64,8 +65,9 @@ class MergedPart:
         pairs, cad = self.agreement.pairs, self.deviations
         best = self.agreement.names[-1]
         drawn = PartDrawn(
-            text="\n\n".join([self.agreement.sentence, *([] if cad is None else [cad.sentence])]),
+            text="\n\n".join(capitalised(one.sentence) for one in (self.agreement, cad) if one is not None),
             scans={"before": self.scans[self.agreement.names[0]], "after": self.scans[best]},
+            times=EXAGGERATED,
             centres=np.array([pair.step.centre for pair in pairs]),
             steps=np.array([pair.step.twist[:3] for pair in pairs]),
             share=np.array([pair.by_placement[best] / pair.expected_mm for pair in pairs]),
@@ -117,22 +119,22 @@ def merge_scans(
     source, out = Path(source), Path(out)
     cell = as_cell(source if result is None else result)
     observations = load_observations(source)
-    if isinstance(cell.nominal, FlangePoses) or observations.q.shape[1] != cell.nominal.n:
+    if isinstance(cell.nominal, FlangePoses):
+        raise ConfigError("scans are merged by joint angles, and this result is of poses of a flange; place them with mbcacq apply --poses")
+    if observations.q.shape[1] != cell.nominal.n:
         raise ConfigError("the result and the recording are of different arms; give the result of this cell")
     station = _station(observations, station)
     scans = scans_at(source, observations, station)
     progress("comparing the scans where they overlap")
-    count = int((observations.station == [s.id for s in observations.cell.stations].index(station)).sum())
-    seen = thinned_scans(scans, min(o.points_per_scan, o.points_in_memory // max(count, 1)))
+    seen, apart = thinned_scans(source, observations, station)
     ways = placements(cell)
-    compared = agreement(seen[0], ways, o)
-    voxel = voxel_mm or VOXELS_PER_SPACING * seen[1]
+    compared = agreement(seen, ways, o)
+    voxel = voxel_mm or VOXELS_PER_SPACING * apart
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
-    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan, _ in seen[0]])
+    common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan in seen])
     merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
-    some = [(scan.q, scan.points[:: max(1, len(scan.points) // DRAWN)]) for scan, _ in seen[0]]
-    drawn = {way.name: [way.to_base(q, points) for q, points in some] for way in (ways[0], ways[-1])}
+    drawn = {way.name: offsets(seen, way, EXAGGERATED, o) for way in (ways[0], ways[-1])}
     deviations = None
     if cad is not None:
         progress("comparing with the design")
@@ -167,13 +169,12 @@ def _planned_place(source: Path, station: str) -> np.ndarray:
 
 def _station(observations: Observations, wanted: str | None) -> str:
     """Where the part stood. Raises ConfigError where that is not one station."""
-    cell = observations.cell
-    known = [s.id for s in cell.stations]
+    known = [s.id for s in observations.cell.stations]
     if wanted is not None:
         if wanted not in known:
             raise ConfigError(f"there is no station '{wanted}' (there: {', '.join(known)}); name one of these")
         return wanted
-    parts = [s.id for k, s in enumerate(cell.stations) if cell.artefact(s.artefact).is_part and (observations.station == k).any()]
+    parts = stations_of_parts(observations)
     if len(parts) != 1:
         what = f"parts were scanned at {', '.join(parts)}" if parts else "no part was scanned, only artefacts"
         raise ConfigError(f"{what}; say whose scans are meant by --station (there: {', '.join(known)})")

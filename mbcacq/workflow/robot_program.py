@@ -11,7 +11,6 @@ from mbcacq.plan.programs import Trigger, motion_program, written
 from mbcacq.workflow.acquire import plan_acquisition
 from mbcacq.workflow.load import as_plan
 
-LONGEST_NAME = 12  # of a KAREL program, the shortest limit of all
 DIGITS = 12
 
 
@@ -24,20 +23,13 @@ def plan_digest(loaded: LoadedPlan) -> str:
 
 
 def robot_program(
-    plan: LoadedPlan | Path | str,
-    dialect: str,
-    *,
-    name: str = "mbcacq_poses",
-    trigger: Trigger | None = None,
-    done: frozenset[int] = frozenset(),
+    plan: LoadedPlan | Path | str, dialect: str, *, trigger: Trigger | None = None, done: frozenset[int] = frozenset()
 ) -> dict[str, str]:
     """The files of a program in the language of a controller (``mbcacq.plan.programs.DIALECTS``): name -> text.
 
     It goes through the poses that are not ``done`` by the routes that a run would take, each checked as before a run, and waits at each
     for its exposures. Raises ConfigError and SafetyStop as ``run`` does.
     """
-    if not (name.isascii() and name.isidentifier() and len(name) <= LONGEST_NAME):
-        raise ConfigError(f"'{name}' is no name of a robot program; give up to {LONGEST_NAME} letters, digits and underscores")
     loaded = as_plan(plan)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
@@ -46,5 +38,5 @@ def robot_program(
     if done and all(pose.number in done for pose in poses):
         raise ConfigError(f"all {len(poses)} poses are measured already; there is nothing left for a program to do")
     checked = plan_acquisition(loaded, poses, done, 0, "")
-    program = motion_program(loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), name=name, trigger=trigger, done=done)
+    program = motion_program(loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), trigger=trigger, done=done)
     return written(loaded, program, dialect)

@@ -121,10 +121,7 @@ def test_joints_that_do_not_fit_the_arm_are_named(tmp_path, joints, sentence):
         robot_program(loaded(plan), "inform")
 
 
-def test_names_and_languages_that_there_are_none_of(plan):
-    for name in ("1a", "much_too_long_a_name", "a b", ""):
-        with pytest.raises(ConfigError, match="is no name of a robot program"):
-            robot_program(loaded(plan), "krl", name=name)
+def test_a_language_that_there_is_none_of(plan):
     with pytest.raises(ConfigError, match="there is no language 'karl'"):
         robot_program(loaded(plan), "karl")
 

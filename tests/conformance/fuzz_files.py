@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fuzz_target import Target, in_file
 
-from mbcacq.exports.certificate import read_certificate
+from mbcacq.exports.certificate import read_certificate_file
 from mbcacq.exports.result_json import load_result
 from mbcacq.files.table import read_table
 from mbcacq.model import yaml_source
@@ -139,9 +139,9 @@ def file_targets() -> list[Target]:
             in_file("centres.csv", lambda path: _read_centres(read_table(path, csv_columns.CENTRES), cell, poses)),
         ),
         Target("observation set, cell.yaml", (CELL,), in_file("cell.yaml", lambda path: read_observation_set(path.parent), SET)),
-        Target("certificate CSV", (LISTED, LISTED_HERE), in_file("c.csv", lambda path: read_certificate(path, "mbc"))),
-        Target("certificate YAML", (BALLS,), in_file("c.yaml", lambda path: read_certificate(path, "mbc"))),
-        Target("certificate DMIS", (DMIS,), in_file("c.dmo", lambda path: read_certificate(path, "mbc"))),
+        Target("certificate CSV", (LISTED, LISTED_HERE), in_file("c.csv", lambda path: read_certificate_file(path, "mbc"))),
+        Target("certificate YAML", (BALLS,), in_file("c.yaml", lambda path: read_certificate_file(path, "mbc"))),
+        Target("certificate DMIS", (DMIS,), in_file("c.dmo", lambda path: read_certificate_file(path, "mbc"))),
         Target("journal", (JOURNAL,), in_file("journal.jsonl", lambda path: (read_lines(path), find_gaps(path.parent)))),
         Target("checksums", (CHECKSUMS,), in_file("checksums.jsonl", lambda path: read_stretches(path.parent))),
         Target(

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.certificate import read_certificate, read_certificate_file
+from mbcacq.exports.certificate import read_certificate_file
 from mbcacq.model.cell_schema import ArtefactSpec
 from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
 
@@ -18,6 +18,10 @@ FA(SPH1)=FEAT/SPHERE,OUTER,CART,-4.4902,24.8573,$
 TA(T1)=TOL/DIAM,0.001,INTOL
 FA(SPH2)=FEAT/SPHERE,OUTER,CART,-37.3617,6.3120,-5.4404,11.9998
 """
+
+
+def read_certificate(path, *about):
+    return read_certificate_file(path, *about).artefact
 
 
 @pytest.fixture

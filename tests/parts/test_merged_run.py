@@ -10,9 +10,13 @@ from dry_runs import PLANS, plan_file, recorded
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm
+from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.mesh_file import read_mesh
+from mbcacq.geometry import se3
 from mbcacq.parts.agreement import agreement
 from mbcacq.parts.merge import merge, merged_points
 from mbcacq.parts.options import PartOptions
@@ -24,7 +28,7 @@ from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.spheres.cloud_file import read_cloud_file
 from mbcacq.workflow.merge_scans import merge_scans
-from mbcacq.workflow.part_scenes import scenes_as_observations
+from mbcacq.workflow.part_scenes import scenes_as_observations, trials_on_parts
 
 DESIGN = PLANS / "parts" / "freeform.stl"
 
@@ -102,7 +106,7 @@ def test_what_is_kept_can_be_viewed(merged, tmp_path):
     figures, recording = merged.write(tmp_path / "kept.ply")
     assert json.loads(figures.read_text())["agreement"]["pairs"][0]["cells"] >= 30
     drawn = {
-        entity: len(list(Recording(recording).rows(f"part/{entity}"))) for entity in ("text", "before/0", "after/7", "steps/arrows", "cad")
+        entity: len(list(Recording(recording).rows(f"part/{entity}"))) for entity in ("text", "before", "after", "steps/arrows", "cad")
     }
     assert set(drawn.values()) == {1}
 
@@ -125,10 +129,29 @@ def test_a_part_that_moved_is_no_matter_of_the_calibration(run):
     scans = []
     for k, scan in enumerate(_scans(folder, observations)):
         moved = PartScan(scan.number, scan.q, scan.points + [0.0, 0.0, 0.15 * (k >= 4)])
-        scans.append((moved, thinned(surface_of(moved), 20_000)))
+        scans.append(thinned(surface_of(moved), 20_000))
     found = agreement(scans, placements(cell), PartOptions())
     assert found.ratio > 2
     assert "the part, the mount or the arm moved" in found.sentence
+
+
+def test_the_part_judges_what_was_learnt_from_balls(run):
+    """Geometry, and an effect on A5 that is true (none, of a cell whose mount was learnt wrongly without it) or false."""
+    folder, observations, cell = run
+    ((name, tried),) = trials_on_parts(folder, observations)
+    assert name == "the scans of the part at station 'part'"
+    plain = tried(cell, cell)
+    assert plain.geometry_alone == plain.with_effects
+    assert 0.3 < plain.with_effects.chi2_dof < 3
+    assert plain.warnings[0].startswith("they agree as well as expected")
+    turned = cell.state.T_flange_scanner @ se3.exp(np.array([0, 0, 0, 0, 2e-3, 0]))
+    wrong = replace(cell, state=replace(cell.state, T_flange_scanner=turned))
+    assert tried(wrong, wrong).warnings[0].startswith("they show that an effect is missing")
+    for size, alone, said in ((1e-12, wrong, "they confirm what was found;"), (2e-3, cell, "they contradict what was found;")):
+        part, one = DescribedPart("joint", 4, 0, (linear("q5"),)), np.array([size])
+        term = EffectTerm("joint_scale", ("A5",), "q5", (part,), ("c",), ("",), one, 0.1 * one, np.array([np.inf]), one)
+        bent = replace(cell, effects=EffectModel(observations.cell.robot, (term,)))
+        assert tried(bent, alone).warnings[0].startswith(said)
 
 
 def test_a_recording_without_a_part_says_how_to_name_one(run, tmp_path):
@@ -175,7 +198,7 @@ def test_scans_fit_once_the_part_alone_calibrated_hand_eye_and_arm(run):
     options = options_for(alone, CalibrationOptions())
     assert options.kinematics
     found = calibrate(alone, options)
-    scans = [(scan, thinned(surface_of(scan), 8_000)) for scan in _scans(folder, observations)]
+    scans = [thinned(surface_of(scan), 8_000) for scan in _scans(folder, observations)]
     fitted = agreement(scans, placements(found), PartOptions())
     assert fitted.rms_mm("geometry") < fitted.rms_mm("before") / 5
     assert fitted.ratio < 1.8

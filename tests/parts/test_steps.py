@@ -6,7 +6,7 @@ import pytest
 
 from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
-from mbcacq.parts.overlap import overlap
+from mbcacq.parts.overlap import surface_cells
 from mbcacq.parts.scans import PartScan, surface_of
 from mbcacq.parts.step import rigid_step, smooth_noise
 
@@ -24,7 +24,8 @@ def pairs(shape, count, seed):
         placed = [(se3.apply(T, scan.points), scan.normals @ T[:3, :3].T) for T, scan in zip(views, scans, strict=True)]
         error = np.concatenate([rng.normal(0, 0.02, 3), rng.normal(0, 1e-4, 3)])
         E = se3.exp(error)
-        yield overlap((se3.apply(E, placed[0][0]), placed[0][1] @ E[:3, :3].T), placed[1], EDGE_MM, OPTIONS), error
+        moved = se3.apply(E, placed[0][0]), placed[0][1] @ E[:3, :3].T
+        yield surface_cells([moved, placed[1]], EDGE_MM, OPTIONS).pair(0, 1), error
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_a_plane_shows_three_motions_of_six():
     for T in (part_shapes.look(10, 0), part_shapes.look(15, 120)):
         scan = surface_of(PartScan(0, np.zeros(6), part_shapes.scan(rng, plane, T)))
         placed.append((se3.apply(T, scan.points), scan.normals @ T[:3, :3].T))
-    cells = overlap(*placed, EDGE_MM, OPTIONS)
+    cells = surface_cells(placed, EDGE_MM, OPTIONS).pair(0, 1)
     step = rigid_step(cells, smooth_noise([cells], OPTIONS), OPTIONS)
     assert step.determined.shape == (6, 3)
     assert sum(text.startswith("along") for text in step.undetermined) == 2

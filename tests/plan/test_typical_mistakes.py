@@ -8,7 +8,7 @@ from plan_folder import Folder
 
 import mbcacq
 from mbcacq.errors import MbcacqError
-from mbcacq.exports.certificate import read_certificate
+from mbcacq.exports.certificate import read_certificate_file
 from mbcacq.exports.result_json import load_result
 from mbcacq.model.robot_import import import_robot
 from mbcacq.plan import load
@@ -77,7 +77,7 @@ def new_plan(arm: str, artefact: str):
 def certificate(text: str, name: str = "certificate.csv"):
     def act(path: Path) -> Sentences:
         (path / name).write_text(text)
-        return refused(read_certificate, path / name, "mbc")
+        return refused(read_certificate_file, path / name, "mbc")
 
     return act
 
@@ -276,7 +276,7 @@ def test_the_artefacts_of_the_tool_have_no_symmetry_and_a_chiral_one_neither():
     from mbcacq.plan.plausibility import symmetric
 
     for path in sorted((shipped.folder() / "artefacts").glob("*.yaml")):
-        assert symmetric(read_certificate(path, "a")) == "", path
+        assert symmetric(read_certificate_file(path, "a").artefact) == "", path
     import numpy as np
 
     from mbcacq.model.cell import Artefact

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
-def refuse_unknown(faults: Iterable[str], known: Mapping[str, str] | Sequence[str]) -> None:
+def refuse_unknown(faults: Iterable[str], known: Mapping[str, str]) -> None:
     """Raises ValueError for faults that there are none of."""
     if unknown := sorted(set(faults) - set(known)):
         raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(known)}")
 
 
 class Faults:
-    """Settable from any thread while the device runs. known: name of each fault, and what it does. counted: those that ``inject`` sets for
-    so many uses.
+    """Settable from any thread while the device runs. known: name of each fault, and what it does; ``inject`` sets one that does it to
+    "that many" for so many uses.
 
     ``set("stall")`` stays until ``clear("stall")``; ``set("stall", times=1)`` wears off after one use.
     """
 
-    def __init__(self, known: Mapping[str, str] | Sequence[str], counted: Container[str] = ()) -> None:
-        self._known, self._counted, self._lock = known, counted, threading.Lock()
+    def __init__(self, known: Mapping[str, str]) -> None:
+        self._known, self._lock = known, threading.Lock()
         self._active: dict[str, tuple[Any, int | None]] = {}
 
     def set(self, fault: str, value: Any = True, times: int | None = None) -> None:
@@ -36,7 +36,7 @@ class Faults:
         for fault, value in values.items():
             if not value:
                 self.clear(fault)
-            elif fault in self._counted:
+            elif self._known.get(fault, "").startswith("that many"):
                 self.set(fault, times=int(value))
             else:
                 self.set(fault, value)

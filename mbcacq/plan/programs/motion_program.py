@@ -14,6 +14,8 @@ from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.timing import motion_time
 from mbcacq.quantities import from_degrees
 
+NAME = "mbcacq_poses"  # of every program, and at most 12 characters, as KAREL has them
+
 
 @dataclass(frozen=True)
 class Trigger:
@@ -116,7 +118,6 @@ def motion_program(
     path_home: Sequence[np.ndarray],
     digest: str,
     *,
-    name: str = "mbcacq_poses",
     trigger: Trigger | None = None,
     done: frozenset[int] = frozenset(),
 ) -> MotionProgram:
@@ -151,7 +152,7 @@ def motion_program(
         go(waypoint, "home" if waypoint is path_home[-1] else "way")
     acceleration = float(np.min(limits.acceleration / allowed.acceleration))
     return MotionProgram(
-        name=name,
+        name=NAME,
         plan=loaded.plan.name,
         digest=digest,
         robot=loaded.cell.robot.name,

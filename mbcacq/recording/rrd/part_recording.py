@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,9 @@ class PartDrawn:
     text : str
         Markdown.
     scans : mapping
-        Name of a placement -> (N, 3) mm of each scan, base frame.
+        Name of a placement -> (g, 4): places in mm, base frame, with the number of their scan.
+    times : float
+        By which factor these places are off.
     centres, steps, share : ndarray
         (k, 3) mm, (k, 3) mm and (k,): of each overlap its place, how its scans are apart, and that over what is expected.
     deviations : ndarray or None
@@ -40,7 +42,8 @@ class PartDrawn:
     """
 
     text: str
-    scans: Mapping[str, Sequence[np.ndarray]]
+    scans: Mapping[str, np.ndarray]
+    times: float
     centres: np.ndarray
     steps: np.ndarray
     share: np.ndarray
@@ -50,7 +53,8 @@ class PartDrawn:
 
 def write_part(path: Path | str, drawn: PartDrawn) -> Path:
     """Write a .rrd of a part alone. Raises RecordingError if it cannot be written."""
-    views: list[rrb.View] = [rrb.Spatial3DView(name=f"scans, {name}", origin=f"part/{name}") for name in drawn.scans]
+    off = f"errors {drawn.times:g} times as large"
+    views: list[rrb.View] = [rrb.Spatial3DView(name=f"scans, {name}, {off}", origin=f"part/{name}") for name in drawn.scans]
     views.append(rrb.Spatial3DView(name="steps between scans, 300 times", origin="part/steps"))
     if drawn.deviations is not None:
         views.append(rrb.Spatial3DView(name="deviations from CAD", origin="part/cad"))
@@ -63,12 +67,10 @@ def write_part(path: Path | str, drawn: PartDrawn) -> Path:
 def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
     stream.set_time(layout.TIME, duration=0.0)  # a viewer needs a time, even of what does not change
     stream.log("part/text", drawn_text(drawn.text))
-    for name, clouds in drawn.scans.items():
-        for number, points in enumerate(clouds):
-            colour = np.rint(255 * _hue((number * GOLDEN) % 1.0)).astype(np.uint8)
-            cloud = rr.Points3D(points.astype(np.float32), colors=[colour], radii=rr.Radius.ui_points(1.2))
-            stream.log(f"part/{name}/{number}", cloud)
-    whole = np.concatenate(list(drawn.scans.values())[-1])[::10].astype(np.float32)
+    for name, points in drawn.scans.items():
+        colours = np.rint(255 * _hue((points[:, 3:] * GOLDEN) % 1.0)).astype(np.uint8)
+        stream.log(f"part/{name}", rr.Points3D(points[:, :3].astype(np.float32), colors=colours, radii=rr.Radius.ui_points(1.5)))
+    whole = list(drawn.scans.values())[-1][::5, :3].astype(np.float32)
     stream.log("part/steps/surface", rr.Points3D(whole, colors=[GREY], radii=rr.Radius.ui_points(0.8)))
     colours = diverging((drawn.share - AS_EXPECTED) / (WORST - AS_EXPECTED))
     arrows = rr.Arrows3D(origins=drawn.centres, vectors=300 * drawn.steps, colors=colours, radii=rr.Radius.ui_points(1.5))
@@ -79,6 +81,6 @@ def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
         stream.log("part/cad", cloud)
 
 
-def _hue(share: float) -> np.ndarray:
-    """(3,) of 0 to 1: a colour of the circle."""
+def _hue(share: np.ndarray) -> np.ndarray:
+    """(n, 3) of 0 to 1: colours of the circle at shares (n, 1)."""
     return np.clip(np.abs((6 * share + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1, 0, 1) * 0.75 + 0.2

@@ -12,13 +12,13 @@ INWARDS_TO_OUTWARDS = [(0.0, AFTER), (0.5, "#f0f0eb"), (1.0, LIMIT)]
 
 
 def overlaps(part: PartContent) -> Figure:
-    """How far the scans of each pair are apart over what is expected of them; both axes are logarithmic."""
+    """How far the scans of each pair are apart, on a logarithmic axis, over what is expected of them."""
     chart, expected = Plot(), 1e3 * part.expected_mm
     for name, values, colour in (("before", part.before_mm, BEFORE), ("after", part.after_mm, AFTER)):
         chart.points(expected, 1e3 * values, name=name, colour=colour, size=6, text=part.poses, hover="poses %{text}: %{y:.1f} µm")
-    ends = np.array([expected.min(), expected.max()])
-    chart.line(ends, ends, colour=LIMIT, width=1.5, name="as expected", hover=None)
-    return chart.finished(360, {"title": "expected / µm", "type": "log"}, {"title": "3D rms / µm", "type": "log"})
+    line = np.linspace(expected.min(), expected.max(), 20)
+    chart.line(line, line, colour=LIMIT, width=1.5, name="as expected", hover=None)
+    return chart.finished(360, {"title": "expected / µm"}, {"title": "3D rms / µm", "type": "log"})
 
 
 def deviation_map(part: PartContent) -> Figure:

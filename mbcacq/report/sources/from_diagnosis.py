@@ -80,7 +80,6 @@ def _of_every_centre(held: HeldOutFigures) -> list[tuple[str, str, str]]:
 
 def trial_content(tried: Transfer) -> TrialContent:
     """What was found in a diagnosis of poses, tried on another recording."""
-    placed = "base, tool and stations fitted" if tried.place == "fitted" else "nothing fitted"
     figures = {
         "the learnt geometry alone": tried.geometry_alone,
         "with its effects": tried.with_effects,
@@ -90,7 +89,7 @@ def trial_content(tried: Transfer) -> TrialContent:
         figures |= {"with effects, parts left out of the fit": left.as_learnt, "and what was not to be learnt drawn anew": left.drawn_anew}
     rows = [(label, micrometres(of.rms_mm), micrometres(of.median_mm), fixed(of.chi2_dof, 2)) for label, of in figures.items() if of]
     rows += [(f"without {spelt_out(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
-    notes = [f"{tried.poses} poses, {placed}."]
+    notes = [f"{capitalised(tried.tried_on)}."]
     if tried.normalised_error:
         notes.append(f"Error over stated uncertainty: {tried.normalised_error.in_words}.")
     notes += [f"{one}." for one in tried.warnings]

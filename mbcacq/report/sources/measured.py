@@ -79,7 +79,7 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     obs = observations
     T = state.chain.flange(obs.q)
     balls, phase = None, None
-    if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
+    if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres and not obs.cell.robot.of_flange_poses:  # one target is one place
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
         q_deg=None if obs.cell.robot.of_flange_poses else positions(obs.cell.robot, obs.q),

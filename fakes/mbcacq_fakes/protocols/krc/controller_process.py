@@ -8,7 +8,7 @@ import sys
 import threading
 from abc import ABC, abstractmethod
 from base64 import b64encode
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -29,7 +29,7 @@ class ControllerProcess(Started):
     """
 
     module: ClassVar[str]
-    known_faults: ClassVar[Sequence[str]]
+    known_faults: ClassVar[Mapping[str, str]]
 
     def __init__(self, settings: Any, state: ArmState | None) -> None:
         self.settings, self.port = settings, 0
@@ -93,8 +93,8 @@ class KukaController(ABC):
 
     port: int
 
-    def __init__(self, known: Sequence[str], counted: Container[str], given: Mapping[str, float]) -> None:
-        self.faults = Faults(known, counted)
+    def __init__(self, known: Mapping[str, str], given: Mapping[str, float]) -> None:
+        self.faults = Faults(known)
         self.faults.inject(given)
         self.led: tuple[float, ...] | None = None
 

@@ -13,7 +13,7 @@ from mbcacq_fakes.protocols.krc.eki_channel import EkiChannel
 from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_fakes.protocols.krc.eki_functions import EkiFunctions
 from mbcacq_fakes.protocols.krc.eki_outlet import Outlet
-from mbcacq_fakes.protocols.krc.eki_settings import COUNTED, FAULTS, EkiSettings
+from mbcacq_fakes.protocols.krc.eki_settings import FAULTS, EkiSettings
 from mbcacq_fakes.protocols.krc.eki_system import TICK_S, System, built_in
 from mbcacq_fakes.protocols.krc.krl import Interpreter, Program
 
@@ -28,7 +28,7 @@ class EkiController(KukaController):
     """``tick`` is 4 ms of the robot's time."""
 
     def __init__(self, settings: EkiSettings, state: ArmState | None = None) -> None:
-        super().__init__(FAULTS, COUNTED, settings.faults)
+        super().__init__(FAULTS, settings.faults)
         self.settings, self._state = settings, state
         self.system = System(settings)
         if state is not None:

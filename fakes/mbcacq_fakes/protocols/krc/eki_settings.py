@@ -7,46 +7,33 @@ from dataclasses import dataclass, field
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.krc.settings import ArmSettings
 
-FAULTS = (
-    "silence",  # no telegram leaves the controller
-    "deaf",  # nothing that arrives is read
-    "refuse",  # new connections are not accepted
-    "close",  # that many times the connection is closed before a telegram
-    "close_inside",  # that many times in the middle of a telegram
-    "reset",  # that many times the link program does Clear, Init, Open
-    "drop",  # that many telegrams are lost
-    "truncate",  # that many telegrams lose their second half
-    "duplicate",  # that many telegrams come twice
-    "garbage",  # that many times bytes without meaning come between telegrams
-    "malformed",  # that many telegrams are no XML
-    "no_number",  # that many telegrams carry a word where a number should be
-    "delay_ms",  # telegrams leave so much later
-    "split",  # telegrams leave byte by byte
-    "merge",  # telegrams leave in one piece with the next two
-    "ignore",  # moves are accepted and never begun
-    "stuck",  # outputs are not switched
-    "short_deg",  # A1 stops so far before its target
-    "program_stop",  # the operator stops the robot program
-    "restart",  # the operator selects it and starts it again
-    "emergency_stop",  # until taken back; then the program must be started again
-    "override",  # $OV_PRO, 0: leave it as it is
-    "mode",  # 1 T1, 2 T2, 3 AUT, 4 EXT; 0: leave it as it is
-    "load_kg",  # somebody enters another load; 0: leave it as it is
-    "tool",  # the program runs with another tool number, plus 1; 0: as it is
-)
-COUNTED = (
-    "close",
-    "close_inside",
-    "reset",
-    "drop",
-    "truncate",
-    "duplicate",
-    "garbage",
-    "malformed",
-    "no_number",
-    "program_stop",
-    "restart",
-)
+FAULTS = {
+    "silence": "no telegram leaves the controller",
+    "deaf": "nothing that arrives is read",
+    "refuse": "new connections are not accepted",
+    "close": "that many times the connection is closed before a telegram",
+    "close_inside": "that many times in the middle of a telegram",
+    "reset": "that many times the link program does Clear, Init, Open",
+    "drop": "that many telegrams are lost",
+    "truncate": "that many telegrams lose their second half",
+    "duplicate": "that many telegrams come twice",
+    "garbage": "that many times bytes without meaning come between telegrams",
+    "malformed": "that many telegrams are no XML",
+    "no_number": "that many telegrams carry a word where a number should be",
+    "delay_ms": "telegrams leave so much later",
+    "split": "telegrams leave byte by byte",
+    "merge": "telegrams leave in one piece with the next two",
+    "ignore": "moves are accepted and never begun",
+    "stuck": "outputs are not switched",
+    "short_deg": "A1 stops so far before its target",
+    "program_stop": "that many times the operator stops the robot program",
+    "restart": "that many times the operator selects it and starts it again",
+    "emergency_stop": "until taken back; then the program must be started again",
+    "override": "$OV_PRO, 0: leave it as it is",
+    "mode": "1 T1, 2 T2, 3 AUT, 4 EXT; 0: leave it as it is",
+    "load_kg": "somebody enters another load; 0: leave it as it is",
+    "tool": "the program runs with another tool number, plus 1; 0: as it is",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

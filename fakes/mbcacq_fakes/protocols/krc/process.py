@@ -20,7 +20,7 @@ from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
 from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.session import AXES, OPERATOR, PC_STOP, FakeRsiSession
-from mbcacq_fakes.protocols.krc.settings import COUNTED, FAULTS, JUMP_DEG, KrcSettings
+from mbcacq_fakes.protocols.krc.settings import FAULTS, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
 _TURN = 1 << 32  # the counter has 32 bits
@@ -36,7 +36,7 @@ class RsiController(KukaController):
     """``cycle`` is one sensor cycle: move the arm, send, wait for the answer, count."""
 
     def __init__(self, settings: KrcSettings, state: ArmState) -> None:
-        super().__init__(FAULTS, COUNTED, settings.faults)
+        super().__init__(FAULTS, settings.faults)
         self._settings, self._state, self._gone = settings, state, threading.Event()
         self._socket, self._foreign = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._socket.bind((settings.bind, 0))

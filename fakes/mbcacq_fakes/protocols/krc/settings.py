@@ -16,26 +16,25 @@ PROFILES = {
 }
 
 ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
-COUNTED = ("malformed", "wrong_ipoc", "no_aipos", "foreign", "jump", "stop")
 JUMP_DEG = 30.0
-FAULTS = (
-    "silence",  # no telegram leaves the controller
-    "drop",  # probability that a telegram is lost on its way
-    "drop_answers",  # probability that an answer is lost on its way
-    "delay_ms",  # a telegram leaves so much later in its cycle
-    "malformed",  # that many telegrams are broken XML
-    "wrong_ipoc",  # that many telegrams carry an IPOC out of step
-    "no_aipos",  # that many telegrams lack AIPos
-    "foreign",  # that many telegrams come from another port
-    "jump",  # that many telegrams show A1 30 deg from where it is
-    "clamp_deg",  # AXISCORR limits the correction to this, silently
-    "ignore",  # corrections are accepted and not carried out
-    "stuck",  # outputs are not switched
-    "stop",  # the operator stops the program
-    "swap",  # the elements come in reverse order
-    "spaced",  # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
-    "upper_type",  # TYPE instead of Type
-)
+FAULTS = {
+    "silence": "no telegram leaves the controller",
+    "drop": "probability that a telegram is lost on its way",
+    "drop_answers": "probability that an answer is lost on its way",
+    "delay_ms": "a telegram leaves so much later in its cycle",
+    "malformed": "that many telegrams are broken XML",
+    "wrong_ipoc": "that many telegrams carry an IPOC out of step",
+    "no_aipos": "that many telegrams lack AIPos",
+    "foreign": "that many telegrams come from another port",
+    "jump": "that many telegrams show A1 30 deg from where it is",
+    "clamp_deg": "AXISCORR limits the correction to this, silently",
+    "ignore": "corrections are accepted and not carried out",
+    "stuck": "outputs are not switched",
+    "stop": "that many times the operator stops the program",
+    "swap": "the elements come in reverse order",
+    "spaced": "1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them",
+    "upper_type": "TYPE instead of Type",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
