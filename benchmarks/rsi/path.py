@@ -142,13 +142,13 @@ def drive(seed: int, number: int) -> Found:
     finally:
         one.shared.close()
     path, given = np.array(one.path), np.array(one.given)
-    if asleep and not relative:
-        given[: one.woken + 3] = False  # it wakes where the proof's bump is: a jump of 0.016 deg, of its own doing
     after = float(np.abs(np.diff(path[begin + still_from :], axis=0)).max(initial=0.0))
     steps, changes = np.abs(np.diff(path, axis=0)), np.abs(np.diff(path, 2, axis=0)).max(axis=1)
     speed = (steps.max() - 2 * ROUNDING_DEG) / (SPEED * T)
     acceleration = (changes[given[2:]].max(initial=0.0) - 4 * ROUNDING_DEG) / (ACCELERATION * T**2)
     smooth = given[3:] & given[2:-1] & given[1:-2] & given[:-3]
+    if asleep and not relative:
+        smooth[: one.woken] = False  # it wakes where the proof's correction is: a step of 0.006 deg, of its own doing
     jerk = (np.abs(np.diff(path, 3, axis=0)).max(axis=1)[smooth].max(initial=0.0) - 8 * ROUNDING_DEG) / (JERK * T**3)
     travel = float(np.abs(path - START).max()) if relative else 0.0
     return Found(float(speed), float(acceleration), float(jerk), disturbances, after, travel, fault["kind"] if fault else "")

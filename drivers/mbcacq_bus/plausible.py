@@ -31,14 +31,16 @@ class Plausibility:
     Parameters
     ----------
     units : Mapping[str, str]
-        Unit of each value by name; only values of one unit can be exchanged.
+        Unit of each value by name, C without one for a name that ends in _C; only values of one unit can be exchanged.
     max_rates : Mapping[str, float]
         Largest change of a value, unit/s, where the plan gives one. Temperatures without one have a default: what changes faster is read
         again, and the second reading counts.
     """
 
     def __init__(self, units: Mapping[str, str], max_rates: Mapping[str, float]) -> None:
-        self._units, self._max_rates = dict(units), dict(max_rates)
+        self._units = {name: unit or ("C" if name.endswith("_C") else "") for name, unit in units.items()}
+        self._max_rates = dict(max_rates)
+        self._temperatures = {name for name, unit in self._units.items() if unit in _TEMPERATURES} - self._max_rates.keys()
         self._last: dict[str, float] = {}
         self._steps: dict[str, float] = {}
         self._readings, self._at = 0, -math.inf
@@ -51,7 +53,7 @@ class Plausibility:
 
         The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong.
         """
-        if not self._last and (self._max_rates or any(unit in _TEMPERATURES for unit in self._units.values())):
+        if not self._last and (self._max_rates or self._temperatures):
             self.believe(values, now())
             values = again()
         first = self.doubt(values, now())
@@ -90,7 +92,7 @@ class Plausibility:
         """A temperature without a rate of the plan that changed faster than temperatures do: a flipped bit, or a real jump."""
         most = min(_TEMPERATURE_RATE * max(at - self._at, 1.0), _TEMPERATURE_STEP)
         for name, value in values.items():
-            if self._units.get(name) in _TEMPERATURES and name not in self._max_rates and abs(value - self._last.get(name, value)) > most:
+            if name in self._temperatures and abs(value - self._last.get(name, value)) > most:
                 text = f"{name} went from {self._last[name]:g} to {value:g} in {at - self._at:.1f} s, faster than temperatures change"
                 return Doubt(text, sure=False)
         return None

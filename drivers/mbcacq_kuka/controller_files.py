@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.devices import ConfigError
+from mbcacq_kuka import controller_external as external
 from mbcacq_kuka import controller_outputs as outputs
 from mbcacq_kuka.controller_flags import with_flags_from
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
@@ -42,19 +43,25 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
     )
     program = _read("eki_kss/mbcacq_eki.src")
     kss = _replace(_replace(_read("eki_kss/mbcacq_eki.xml"), "<IP>", address, "</IP>"), "<PORT>", options.port, "</PORT>")
+    link = _read("eki_kss/mbcacq_link.src")
     new = _replace(_read("eki_iiqka/mbcacq_eki.xml"), '<Server Port="', options.port, '"')
+    if options.external_axes:
+        kss, data, program, link = (external.moved(text, options) for text in (kss, data, program, link))
     programs = {
         "kss/EthernetKRL/mbcacq_eki.xml": kss,
         "kss/Program/mbcacq_eki.dat": data,
         "kss/Program/mbcacq_eki.src": program,
-        "kss/Program/mbcacq_link.src": _read("eki_kss/mbcacq_link.src"),
+        "kss/Program/mbcacq_link.src": link,
         "kss/System/mbcacq_link_sub.sub": _read("eki_kss/mbcacq_link_sub.sub"),
         "iiqka/EthernetKRL/mbcacq_eki.xml": new,
         "iiqka/Program/mbcacq_eki.dat": data,
         "iiqka/Program/mbcacq_eki.src": _for_iiqka(program),
         "iiqka/Program/mbcacq_link.src": _read("eki_iiqka/mbcacq_link.src"),
     }
-    warnings = _warn_of_loopback("address", address, "of the controller, as this computer sees it")
+    if options.external_axes:
+        programs = {name: text for name, text in programs.items() if name.startswith("kss/")}
+    warnings = ["the programs for iiQKA move no external axes and are left out"] if options.external_axes else []
+    warnings += _warn_of_loopback("address", address, "of the controller, as this computer sees it")
     return {
         **_warnings_file(warnings),
         "README.txt": eki_guide(options, facts, warnings),

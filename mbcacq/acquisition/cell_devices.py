@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, SystemRefused, create, load_driver
+from mbcacq.model.cell import RobotModel
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.controller_joints import matrix
 from mbcacq.plan.motion_limits import axis_limits
@@ -129,15 +130,19 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     The driver names further facts of the model that it needs in ``plan_facts``. 'kinematics' gives rows (sign, theta_deg, d_mm, a_mm,
     alpha_deg, beta_deg). 'dynamics' gives acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not
     state them. 'controller_joints' gives controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the
-    plan has them. 'follow' gives follow: True where the plan says so; the driver then never moves the arm. Raises ConfigError if the
+    plan has them. 'external_axes' gives these (name, slides, carries_arm, limits, speed, in deg or mm), and all else of
+    the arm alone. 'follow' gives follow: True where the plan says so; the driver then never moves the arm. Raises ConfigError if the
     plan asks the driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
-    facts: dict[str, Any] = {"limits_deg": in_degrees(robot.limits).tolist()}
-    if robot.speed is not None:
-        facts["speed_deg_s"] = in_degrees(robot.speed).tolist()
     found = load_driver("robots", driver or use.driver)
     wanted = getattr(found, "plan_facts", ())
+    first = robot.external if "external_axes" in wanted else 0
+    facts: dict[str, Any] = {"limits_deg": in_degrees(robot.limits[first:]).tolist()}
+    if robot.speed is not None:
+        facts["speed_deg_s"] = in_degrees(robot.speed[first:]).tolist()
+    if first:
+        facts["external_axes"] = _external_axes(robot)
     if use.follow is None and getattr(found, "only_follows", False):
         raise ConfigError(
             f"driver '{use.driver}' reads the arm and moves nothing: a person, or its own program, moves it; add follow: {{}} to robot, or "
@@ -156,10 +161,25 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
         facts["acceleration_deg_s2"] = in_degrees(limits.acceleration).tolist()
         facts["jerk_deg_s3"] = in_degrees(limits.jerk).tolist()
     if "kinematics" in wanted:
-        rows = robot.chain.rows.copy()
+        rows = robot.chain.rows[first:].copy()
         rows[:, [0, 3, 4]] = in_degrees(rows[:, [0, 3, 4]])
-        facts["kinematics"] = np.column_stack([robot.chain.sign, rows]).tolist()
+        facts["kinematics"] = np.column_stack([robot.chain.sign[first:], rows]).tolist()
     return {**facts, **use.options}
+
+
+def _external_axes(robot: RobotModel) -> list[dict[str, Any]]:
+    assert robot.speed is not None, "an external axis of a plan has a speed"
+    limits, speed = robot.shown(robot.limits.T).T, robot.shown(robot.speed)
+    return [
+        {
+            "name": robot.axes[i],
+            "slides": i in robot.chain.sliding,
+            "carries_arm": i >= robot.chain.floor,
+            "limits": limits[i].tolist(),
+            "speed": float(speed[i]),
+        }
+        for i in range(robot.external)
+    ]
 
 
 def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -85,7 +85,7 @@ class Follower:
         onward = (np.sign(step) == self.direction) | (np.abs(step) > MOVED)
         self.direction = np.where(np.abs(step) > MOVED, np.sign(step), self.direction).astype(int)
         self._turned = np.where(onward, state.q, self._turned)
-        if np.max(np.abs(state.q - self._rest)) > self._still:
+        if np.any(np.abs(state.q - self._rest) > self._still):
             self._rest, self._rest_since = state.q, state.time_s
         return state, state.time_s - self._rest_since
 

@@ -21,7 +21,6 @@ from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, line_scanner, take_sweep
 from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
-from mbcacq.quantities import in_degrees
 
 BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
 
@@ -150,18 +149,25 @@ class PoseMeasurement:
         Raises SafetyStop if it did not and no attempt is left.
         """
         limit = self.options.standstill_tolerances * self.mover.limits.tolerance
-        moved = float(np.max(np.ptp(cycles["q"], axis=0))) if cycles else 0.0
-        away = float(np.max(np.abs(q - pose.q)))
-        if moved <= limit and away <= limit:
+        moved = np.ptp(cycles["q"], axis=0) if cycles else np.zeros(len(q))
+        away = np.abs(q - pose.q)
+        if np.all(moved <= limit) and np.all(away <= limit):
             return True
-        if moved <= limit:
-            text = f"the arm stood {in_degrees(away):.3f}° from pose {pose.number} during its exposures"
+        if np.all(moved <= limit):
+            text = f"the arm stood {self._worst(away, limit)} from pose {pose.number} during its exposures"
         else:
-            text = f"the arm moved by {in_degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
+            text = (
+                f"the arm moved by {self._worst(moved, limit)} during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
+            )
         if not left:
             raise SafetyStop(f"{text}, twice; its brakes or its controller do not hold it, so the run was ended")
         self.bus.message("warning", f"{text}; it is measured again")
         return False
+
+    def _worst(self, off: np.ndarray, limit: np.ndarray | float) -> str:
+        """The distance (n,) rad, mm, that exceeds its limit most, as people read it."""
+        robot, axis = self.loaded.cell.robot, int(np.argmax(off / limit))
+        return f"{robot.shown(off)[axis]:.3f}{robot.unit(axis)}"
 
     def _read_sensors(self, pose: PlannedPose) -> dict[str, float]:
         values: dict[str, float] = {}

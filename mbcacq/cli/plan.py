@@ -20,6 +20,7 @@ from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
 
+LONGEST_TRACK_MM = 1e5
 COLOURS = {"error": "red", "warning": "yellow", "info": "cyan"}
 
 
@@ -43,6 +44,7 @@ def new(
     stations: int = option("Places of the artefact to calibrate at.", click.IntRange(2, 12), default=6),
     count: int = option("Calibration poses at them.", click.IntRange(6, 400), "--poses", default=36),
     seed: int = option("Seed of the random views to choose from.", default=0),
+    track: str | None = option("Ends of a track under the arm, along its x axis, in mm: 0:3000."),
     force: bool = option("Replace the file if it exists."),
 ) -> Answer:
     """Make a plan from nothing: stations and views that this arm reaches, the scanner sees and the calibration learns from.
@@ -62,12 +64,23 @@ def new(
         if given is None and not sys.stdin.isatty():
             raise ConfigError(f"the {kind[:-1]} is not given; add --{kind[:-1]} with a file or one of the tool's own: {choices}")
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
-    options = NewPlanOptions(driver, stations, count, seed)
+    options = NewPlanOptions(driver, stations, count, seed, None if track is None else _ends(track))
     with StepProgress() as steps:
         made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=steps.printed)
     places = [str(s.id) for s in made.plan.stations]
     document = {"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}
     return Answer(document, then=("see what it can and cannot determine", command_line("plan", "check", out)))
+
+
+def _ends(text: str) -> tuple[float, float]:
+    """The ends of a track. Raises click.BadParameter."""
+    try:
+        low, high = (float(end) for end in text.split(":"))
+    except ValueError:
+        low = high = 0.0
+    if not low < high or high - low > LONGEST_TRACK_MM:
+        raise click.BadParameter(f"'{text}' is no track; give its two ends in mm, such as 0:3000", param_hint="--track")
+    return low, high
 
 
 @subcommand("show", command)

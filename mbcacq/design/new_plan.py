@@ -33,6 +33,8 @@ DISTANCES, HEIGHTS, AZIMUTHS_DEG = (0.45, 0.6, 0.75), (-0.35, -0.1, 0.15, 0.4), 
 ROBOT_SOURCES = (".urdf", ".xacro", ".mjcf", ".xml", ".csv")
 CERTIFICATES = (".csv", ".dmo", ".dmi", ".dms", ".pdf")
 LEAN_DEG = 20.0  # of the artefact towards the arm, at every other place: a station with another orientation tells more
+TRACK_PLACES = 7  # along a track, one after the other
+TRACK_MM_S = 1000.0
 VIEWS_TRIED = 24  # per place
 LEAST_SHARE = 0.2  # of them that must be possible at a place
 ORIENTATION_VIEWS = 6
@@ -47,17 +49,20 @@ class NewPlanOptions:
     Attributes
     ----------
     driver
-        Driver of the robot; None is ``kuka_rsi`` for a KUKA KR, else ``simulated``.
+        Driver of the robot; None is ``kuka_rsi`` for a KUKA KR, ``kuka_eki`` on a track, else ``simulated``.
     stations, poses
         Numbers of stations and poses to calibrate with.
     seed
         Seed of the views to choose from.
+    track
+        Ends (mm) of a track under the arm, along its x axis; None without one.
     """
 
     driver: str | None = None
     stations: int = 6
     poses: int = 36
     seed: int = 0
+    track: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,10 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
             raise ConfigError(f"{request.out} is the name of a file that the plan itself needs beside it; give another --out")
     head = _head(request, spec, artefact, names)
     progress("looking for places that the arm reaches and the scanner sees")
-    draft = load(request.out, _text(head, _places(spec), artefact.id, [look_step("positions", "position", ["c1"], [{"tilt_deg": 10}])]))
+    draft = load(
+        request.out,
+        _text(head, _places(spec, request.options.track), artefact.id, [look_step("positions", "position", ["c1"], [{"tilt_deg": 10}])]),
+    )
     found = candidates(draft, [s.id for s in draft.cell.stations], 38.0, request.options.seed, DesignOptions(views_per_station=VIEWS_TRIED))
     chosen = _spread(draft, found, request.options.stations + VERIFICATION_VIEWS)
     if len(chosen) < 2:
@@ -96,6 +104,10 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
             "the scanner's housing (body_mm) and the arm's limits"
         )
     kept, apart = chosen[: request.options.stations], chosen[request.options.stations :] or chosen[-1:]
+    if request.options.track is not None and len(chosen) > VERIFICATION_VIEWS:  # lengths are checked at both ends
+        along = sorted(chosen, key=lambda s: next(k.planned_pose[0, 3] for k in draft.cell.stations if k.id == s))
+        apart = [along[0], along[-1]]
+        kept = [s for s in chosen if s not in apart]
     places = [replace_id(draft, station, f"p{k}") for k, station in enumerate(kept, 1)]
     places += [replace_id(draft, station, f"v{k}") for k, station in enumerate(apart, 1)]
     steps = _steps([v for v in found if v.station == kept[0]], [f"p{k + 1}" for k in range(len(kept))], len(apart))
@@ -150,12 +162,25 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
                 f"{target} exists and differs from the tool's own {path.name}; rename it, or give it by --robot or --artefact"
             )
     kuka = spec.name.startswith("KUKA KR ")
-    driver = request.options.driver or ("kuka_rsi" if kuka else "simulated")
+    track = request.options.track
+    driver = request.options.driver or (("kuka_rsi" if track is None else "kuka_eki") if kuka else "simulated")
     robot: dict[str, Any] = {"driver": driver, "model": names[request.robot]}
     if driver == "kuka_rsi":
         robot["options"] = {"bind": "127.0.0.1", "port": 49152}
+    if driver == "kuka_eki":
+        robot["options"] = {"address": "127.0.0.1", "port": 54610}
     home = _home(spec, PoseSpec.model_validate(scanner["hand_eye"]).transform())
     robot |= {"speed": 0.3, "settle_s": 0.3, "home_deg": [float(v) for v in home]}
+    if track is not None:
+        axis = {
+            "name": "E1",
+            "type": "prismatic",
+            "carries": "arm",
+            "direction": [1, 0, 0],
+            "limits_mm": list(track),
+            "speed_mm_s": TRACK_MM_S,
+        }
+        robot |= {"external_axes": [axis], "home_external": [sum(track) / 2]}
     return {
         "format": "mbcacq-plan/1",
         "name": f"{spec.name} with {artefact.name or artefact.id}",
@@ -197,8 +222,8 @@ def _home(spec: RobotSpec, T_flange_scanner: np.ndarray) -> np.ndarray:
     return np.round(in_degrees(best))
 
 
-def _places(spec: RobotSpec) -> list[dict[str, Any]]:
-    """Stations to try, in front of the arm."""
+def _places(spec: RobotSpec, track: tuple[float, float] | None) -> list[dict[str, Any]]:
+    """Stations to try, in front of the arm; those of an arm on a track all along it."""
     reach, shoulder = _reach(spec)
     out: list[dict[str, Any]] = []
     for distance in DISTANCES:
@@ -206,6 +231,8 @@ def _places(spec: RobotSpec) -> list[dict[str, Any]]:
             for azimuth in AZIMUTHS_DEG:
                 a = from_degrees(azimuth)
                 place = shoulder + reach * np.array([distance * np.cos(a), distance * np.sin(a), height])
+                if track is not None:
+                    place[0] = np.interp(len(out) % TRACK_PLACES, [0, TRACK_PLACES - 1], track) + place[0]
                 lean = -LEAN_DEG if len(out) % 2 else 0.0
                 pose = {"translation_mm": [round(float(v)) for v in place], "abc_deg": [azimuth, lean, 0]}
                 out.append({"id": f"c{len(out) + 1}", "pose_in_base": pose})

@@ -80,14 +80,15 @@ class Description:
 class MotionLimits:
     """Limits of one joint motion, and when it counts as finished.
 
-    speed, acceleration, jerk: (n,) rad/s, rad/s^2, rad/s^3. ``tolerance`` (rad) is the largest distance of a measured
-    joint to its target that counts as arrived; ``settle_s`` is how long, on the robot's own clock, it must stay there.
+    speed, acceleration, jerk: (n,) rad/s, rad/s^2, rad/s^3. ``tolerance`` (rad; (n,) with mm of an axis that slides) is the largest
+    distance of a measured joint to its target that counts as arrived; ``settle_s`` is how long, on the robot's own clock, it must
+    stay there.
     """
 
     speed: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
-    tolerance: float = 2e-4
+    tolerance: float | np.ndarray = 2e-4
     settle_s: float = 0.2
 
 

@@ -48,7 +48,11 @@ def motion_limits(loaded: LoadedPlan) -> MotionLimits:
     use, allowed = loaded.plan.robot, axis_limits(loaded)
     acceleration = np.minimum(requested_limits(loaded).acceleration, allowed.acceleration)
     jerk = np.minimum(acceleration / use.jerk_time_s, allowed.jerk)
-    return MotionLimits(use.speed * allowed.speed, acceleration, jerk, from_degrees(use.tolerance_deg), use.settle_s)
+    chain, tolerance = loaded.cell.robot.chain, from_degrees(use.tolerance_deg)
+    each = (
+        tolerance * chain.by_kind(1.0, 0.5 * chain.reach) if chain.sliding else tolerance
+    )  # a slide moves the scanner as far as joints do
+    return MotionLimits(use.speed * allowed.speed, acceleration, jerk, each, use.settle_s)
 
 
 def sweep_limits(loaded: LoadedPlan, start: np.ndarray, end: np.ndarray, speed_mm_s: float) -> MotionLimits:

@@ -128,12 +128,12 @@ def test_a_late_line_is_not_taken_for_the_answer_to_the_next_question(monkeypatc
 def test_a_late_line_is_no_new_reading_of_a_sensor_that_is_asked():
     count, given_up = iter(range(100)), threading.Event()
     with LatePeer(lambda request: b"T=%d\n" % next(count), line_cut, {0: given_up.is_set}) as peer:
-        options = {"port": peer.url, "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": 0.5}
+        options = {"port": peer.url, "line": r"T=(?P<count>\d+)", "ask": "T?\n", "timeout_s": 0.5}
         with SerialSensor("s", "", options) as sensor:
             with pytest.raises(DeviceTimeout):
                 sensor.read()
             given_up.set()
-            assert [sensor.read() for _ in range(3)] == [{"air_C": 1.0}, {"air_C": 2.0}, {"air_C": 3.0}]
+            assert [sensor.read() for _ in range(3)] == [{"count": 1.0}, {"count": 2.0}, {"count": 3.0}]
 
 
 class ClosedMeanwhile:

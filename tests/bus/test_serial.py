@@ -61,9 +61,9 @@ def test_a_line_cut_in_half_is_not_taken():
         thread = threading.Thread(target=speak)
         thread.start()
         port = listener.getsockname()[1]
-        with SerialSensor("s", "", {"port": f"socket://127.0.0.1:{port}", "line": r"(?P<air_C>[0-9.]+)"}) as sensor:
+        with SerialSensor("s", "", {"port": f"socket://127.0.0.1:{port}", "line": r"(?P<value>[0-9.]+)"}) as sensor:
             opened.set()
-            assert sensor.read() == {"air_C": 22.75}
+            assert sensor.read() == {"value": 22.75}
         thread.join()
 
 

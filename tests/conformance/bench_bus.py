@@ -114,6 +114,7 @@ def serial_sensor(pty: bool = False) -> Iterator[Stand]:
                 "port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}",
                 "ask": "T?\n",
                 "timeout_s": 3.0,
+                "max_rate": {"humidity": 1.0},
                 "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)",
                 "identity": {"ask": "ID?\n", "expect": "THERM-2"},
             }

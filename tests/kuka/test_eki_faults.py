@@ -118,7 +118,7 @@ def test_who_answers_is_asked_again_on_a_connection_that_replaces_another_during
             wait(lambda: session.hello is not hello)
             fake.inject(refuse=0)
 
-    session = EkiSession("arm", options, Record(), check)
+    session = EkiSession("arm", options, Record(options), check)
     try:
         session.open()
         assert len(asked) == 2

@@ -132,3 +132,19 @@ def test_a_view_that_no_place_helps_is_left_out_and_the_others_stay(folder):
     assert len(fixed.plan.steps[0].views) == 1
     assert "1 views that cannot be reached were left out" in said[-1]
     assert expand_reachable(fixed)[1] == []
+
+
+def test_an_arm_on_a_track_is_planned_all_along_it_and_judged_at_both_ends(tmp_path):
+    out = tmp_path / "plan.yaml"
+    made = ["plan", "new", "--robot", "kr10_r1100_2", "--scanner", "gocator-3210", "--artefact", "mbc-8", "--out", str(out)]
+    done = CliRunner().invoke(app, [*made, "--track", "0:3000", "--stations", "3", "--poses", "8"], catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    loaded = load(out)
+    poses = expand(loaded)
+    along = {s.id: s.planned_pose[0, 3] for s in loaded.cell.stations}
+    assert min(along, key=along.get) == "v1"
+    assert max(along, key=along.get) == "v2"
+    assert along["v2"] - along["v1"] > 2000
+    assert np.ptp([pose.q[0] for pose in poses]) > 1500  # mm: the track comes first in the chain
+    for wrong in ("3000:0", "0", "a:b", "0:1e9"):
+        assert "is no track" in CliRunner().invoke(app, [*made, "--track", wrong]).stderr

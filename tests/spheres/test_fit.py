@@ -74,3 +74,16 @@ def test_half_of_the_cap_covered_causes_no_bias():
 
 def test_a_fit_with_nothing_to_fit_is_none():
     assert sphere_fits([np.zeros((20, 3)) + 50], np.zeros((1, 3)), np.array([6.0]), VIEW, LIMIT, 0.08) == [None]
+
+
+def test_one_flipped_bit_of_a_point_moves_the_centre_by_a_fraction_of_its_uncertainty():
+    rng, centre, step = np.random.default_rng(5), np.array([10.0, -5, 8]), 0.003
+    raw = np.rint(clouds.cap(rng, centre, 12.0, 400, noise=0.01, view=VIEW) / step).astype(np.int16)
+    flipped = [raw]
+    for bit in range(48):
+        flipped.append(raw.copy())
+        flipped[-1].view(np.uint16)[rng.integers(len(raw)), bit // 16] ^= 1 << bit % 16
+    points = [one * step for one in flipped]
+    true, *fits = sphere_fits(points, np.tile(centre, (49, 1)), np.full(49, 6.0), VIEW, LIMIT, 0.08)
+    moved = np.array([fit.centre for fit in fits]) - true.centre
+    assert np.all(np.abs(moved) < 0.5 * np.sqrt(np.diag(true.covariance)))

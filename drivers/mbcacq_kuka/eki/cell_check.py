@@ -9,31 +9,35 @@ from scipy.spatial.transform import Rotation
 
 from mbcacq.devices import DeviceFault, IdentityError, same_model
 from mbcacq_kuka.eki.options import EkiOptions, mode_name
-from mbcacq_kuka.eki.telegrams import INTERFACE, Hello, State
+from mbcacq_kuka.eki.telegrams import AXES, Hello, State, interface
 
 _FRAME_MM, _FRAME_DEG = 0.01, 0.01
+_LEVER_MM = 1000.0
 
 
 def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: State) -> None:
     """Everything that is known after connecting. Raises IdentityError, DeviceFault (stopped)."""
     where = f"robot '{name}': the controller at {options.address}"
-    check_robot(where, model, hello)
+    check_robot(where, model, options, hello)
     check_tool(where, options, hello, state)
     check_mode(where, options, state)
-    for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
+    slides = {axis.name for axis in options.external_axes if axis.slides}
+    for axis, value, (low, high) in zip(options.axes, state.axis, options.limits.tolist(), strict=True):
+        unit = " mm" if axis in slides else "°"
         if not low - 1.0 <= value <= high + 1.0:
             raise IdentityError(
-                f"{where} shows A{axis} at {round(value, 2) + 0.0:.2f}°, outside the plan's limits {low:g}..{high:g}°; "
-                "jog the arm inside or correct the robot model"
+                f"{where} shows {axis} at {round(value, 2) + 0.0:.2f}{unit}, outside the plan's limits {low:g}..{high:g}{unit}; "
+                "jog it inside or correct the robot model"
             )
     check_flange(where, options, hello, state)
     check_stops(where, state)
 
 
-def check_robot(where: str, model: str, hello: Hello) -> None:
-    if hello.interface != INTERFACE:
+def check_robot(where: str, model: str, options: EkiOptions, hello: Hello) -> None:
+    wanted = interface(options.axes)
+    if hello.interface != wanted:
         raise IdentityError(
-            f"{where} runs programs for '{hello.interface}', this driver needs '{INTERFACE}'; "
+            f"{where} runs programs for '{hello.interface}', this plan needs '{wanted}'; "
             "copy the files that `mbcacq controller-files` writes"
         )
     if hello.axes != 6:
@@ -76,7 +80,12 @@ def check_flange(where: str, options: EkiOptions, hello: Hello, state: State) ->
         return
     robroot, tool = np.linalg.inv(_frame(hello.robroot)), np.linalg.inv(_frame(hello.tool_frame))
     reported = robroot @ _frame(hello.base_frame) @ _frame(state.cart) @ tool
-    away = float(np.linalg.norm(reported[:3, 3] - flange(options.kinematics, state.axis)[:3, 3]))
+    own = flange(options.kinematics, state.axis[: len(AXES)])
+    away = float(np.linalg.norm(reported[:3, 3] - own[:3, 3]))
+    carried = [axis for axis in options.external_axes if axis.carries_arm]
+    if carried:  # the controller may count a track to the arm or not: what slides turns nothing
+        turn = float(Rotation.from_matrix(own[:3, :3].T @ reported[:3, :3]).magnitude())
+        away = turn * _LEVER_MM if all(axis.slides for axis in carried) else 0.0
     if not away <= options.flange_tolerance_mm:
         raise IdentityError(
             f"{where} places its flange {away:.1f} mm from where the plan's robot model does at the same joint angles; "

@@ -33,16 +33,18 @@ from mbcacq_kuka.eki.watch import Move
 from mbcacq_kuka.option_values import check_output
 
 _STANDSTILL_S = 5.0
+_ROUNDING = 1e-6  # deg or mm
 
 
 class KukaEki(ContextDevice):
-    """A six-axis KUKA arm behind EthernetKRL. ``options``: see options.Options. Implements mbcacq.devices.Robot.
+    """A six-axis KUKA arm behind EthernetKRL, and the external axes that its controller moves with it. ``options``: see
+    options.EkiOptions. Implements mbcacq.devices.Robot.
 
     A move is done when the arm stands at its target, not when the controller says so. A lost connection brakes the arm: the
     controller does that by itself. It is taken up again only if the arm stood still when it was lost.
     """
 
-    plan_facts = ("kinematics", "follow")
+    plan_facts = ("kinematics", "follow", "external_axes")
 
     options_model = EkiOptions
     first_contact = (
@@ -50,6 +52,7 @@ class KukaEki(ContextDevice):
         "interpreter.",
         "`mbcacq doctor {plan} --arm` names model, machine data, tool and load; compare each with the smartPAD. Note KSS and EKI versions.",
         "The angles in the viewer agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
+        "Only if the plan has external axes: jogged by hand, each goes the way that the plan's direction says, in mm or degrees.",
         "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
         "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
         "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
@@ -60,7 +63,7 @@ class KukaEki(ContextDevice):
         self._name, self._model = name, model
         self._options = parse(name, options)
         self._session: EkiSession | None = None
-        self._record = Record()
+        self._record = Record(self._options)
         self._lock = threading.Lock()
         self._number = self._stopped = 0
 
@@ -70,7 +73,7 @@ class KukaEki(ContextDevice):
         return eki_files(parse(name, options), facts)
 
     def describe(self) -> Description:
-        rate, axes = 1000.0 / self._options.state_ms, (6,)
+        rate, axes = 1000.0 / self._options.state_ms, (len(self._options.axes),)
         hello = None if self._session is None else self._session.hello
         return Description(
             "robot",
@@ -80,8 +83,8 @@ class KukaEki(ContextDevice):
                 Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
                 Field("q", "rad", axes, rate, "measured axis angles ($AXIS_ACT_MEAS)"),
                 Field("q_command", "rad", axes, rate, "target of the move under way"),
-                Field("current_percent", "%", axes, rate, "motor currents ($CURR_ACT)"),
-                Field("tool_in_base_mm_deg", "mm, deg", axes, rate, "X, Y, Z, A, B, C of the tool in the base ($POS_ACT)"),
+                Field("current_percent", "%", (6,), rate, "motor currents ($CURR_ACT)"),
+                Field("tool_in_base_mm_deg", "mm, deg", (6,), rate, "X, Y, Z, A, B, C of the tool in the base ($POS_ACT)"),
                 Field("override_percent", "%", (), rate, "program override ($OV_PRO)"),
                 Field("sign_of_life_ms", "ms", (), rate, "age of our last sign of life, on the robot's clock"),
                 Field("connection", "1", (), rate, "how many connections this one is; a step is a gap in the stream"),
@@ -102,7 +105,7 @@ class KukaEki(ContextDevice):
     def connect(self) -> None:
         """Connect, wait for the controller's program, compare its cell with the plan. Raises ConnectError, IdentityError, DeviceFault."""
         self.close()
-        self._record = Record()
+        self._record = Record(self._options)
         session = self._session = EkiSession(
             self._name, self._options, self._record, lambda hello, state: check_cell(self._name, self._model, self._options, hello, state)
         )
@@ -115,23 +118,30 @@ class KukaEki(ContextDevice):
         self._number = self._stopped = max(first.last, first.refused, first.cancelled)
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
-        """Start a PTP motion to q (6,) rad. Raises SafetyStop for a target outside the limits, and any fault met so far.
+        """Start a PTP motion to q (n,) rad or mm, external axes first. Raises SafetyStop for a target outside the
+        limits, and any fault met so far.
 
         Speed is a percentage of the controller's axis speeds, rounded down for the slowest axis; acceleration is option
         acceleration_percent, the jerk the controller's own. A move under way is stopped first.
         """
         self._refuse_following()
         session = self._check()
-        limits_deg = np.array(self._options.limits_deg)
-        target = np.degrees(joint_target(f"robot '{self._name}'", q, np.radians(limits_deg)))
-        speed = np.degrees(np.broadcast_to(np.asarray(limits.speed, dtype=float), (6,)))
+        o, robot = self._options, f"robot '{self._name}'"
+        external = np.asarray(q, dtype=float)[: len(o.external_axes)]
+        arm = joint_target(robot, np.asarray(q)[len(external) :], np.radians(o.limits_deg))
+        target = o.in_telegram(np.concatenate([external, arm]))
+        for name, value, (low, high) in list(zip(o.axes, target, o.limits, strict=True))[len(arm) :]:
+            if not low - _ROUNDING <= value <= high + _ROUNDING:
+                raise SafetyStop(f"{robot}: {name} would go to {value:.3f}, outside the plan's limits {low:g}..{high:g}; nothing was moved")
+        speed = o.in_telegram(np.broadcast_to(np.asarray(limits.speed, dtype=float), target.shape))
         if not (np.isfinite(speed).all() and (speed > 0).all()):
-            raise ConfigError(f"robot '{self._name}': speed limits must be positive")
-        percent = float(np.floor(np.clip(100.0 * np.min(speed / np.array(self._options.speed_deg_s)) + 1e-9, 1.0, 100.0)))
-        wanted, tolerance = np.clip(target, *limits_deg.T), float(np.degrees(limits.tolerance))
+            raise ConfigError(f"{robot}: speed limits must be positive")
+        percent = float(np.floor(np.clip(100.0 * np.min(speed / o.speeds) + 1e-9, 1.0, 100.0)))
+        wanted = np.clip(target, *o.limits.T)
+        tolerance = o.in_telegram(np.broadcast_to(np.asarray(limits.tolerance, dtype=float), target.shape))
 
         def away(state: State) -> float:
-            return float(np.max(np.abs(np.array(state.axis) - wanted))) / tolerance
+            return float(np.max(np.abs(np.array(state.axis) - wanted) / tolerance))
 
         self._begin(session, PTP, away, limits.settle_s, wanted, speed=percent, axes=wanted.tolist())
 
@@ -152,7 +162,7 @@ class KukaEki(ContextDevice):
         session = self._check()
         state, arrived = session.latest, session.arrived
         moving = bool(state.moving) or (session.busy and not arrived)
-        return RobotState(state.time * 1e-3, np.radians(state.axis), moving, arrived)
+        return RobotState(state.time * 1e-3, self._options.in_plan(state.axis), moving, arrived)
 
     def cycles(self) -> Cycles:
         return self._record.drain()
@@ -186,7 +196,9 @@ class KukaEki(ContextDevice):
         session.begin(
             Move(number, away, settle_s),
             None if target is None else tuple(target.tolist()),
-            telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values),
+            telegrams.command(
+                kind, number, session.beat, acceleration=self._options.acceleration_percent, names=self._options.axes, **values
+            ),
         )
 
     def _refuse_following(self) -> None:

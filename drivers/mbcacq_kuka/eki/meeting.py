@@ -9,7 +9,7 @@ from mbcacq.devices import LinkLost, SafetyStop
 from mbcacq_kuka.eki.link import Link
 from mbcacq_kuka.eki.telegrams import Hello, State
 
-MOVED_DEG = 0.05  # more between two connections: somebody moved the arm
+MOVED_DEG = 0.05  # or mm; more between two connections: somebody moved the arm
 
 
 def meet(link: Link, deadline: float, ended: threading.Event, poll_s: float) -> tuple[float, Hello, State]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbcacq.devices import HOST, parse_options
+from mbcacq.devices import HOST, DriverOptions, parse_options
 from mbcacq_kuka.controller_flags import COUNT, FIRST, LARGEST
+from mbcacq_kuka.eki.telegrams import AXES
 from mbcacq_kuka.option_values import KukaOptions, PositiveSix, Six
 
 MODES = {"T1": 1, "T2": 2, "AUT": 3, "EXT": 4}
@@ -27,6 +29,16 @@ def _modes(mode: Any) -> tuple[str, ...]:
     return modes
 
 
+class ExternalAxis(DriverOptions):
+    """An axis of the controller beside the arm, in deg, or mm where it slides. carries_arm: a track, a lift, a gantry."""
+
+    name: str = Field(pattern="^E[1-6]$")
+    slides: bool
+    carries_arm: bool
+    limits: tuple[float, float]
+    speed: float = Field(gt=0)
+
+
 class EkiOptions(KukaOptions):
     """Everything a plan may say about the EKI connection, and the cell it expects at the other end.
 
@@ -42,6 +54,8 @@ class EkiOptions(KukaOptions):
     the arm stands; 0 never. beat_ms: robot time between our signs of life. controller_silence_ms, state_ms: written into the controller's
     program: how long it bears our silence before it brakes, and how often it tells its state. first_flag: number of the first of five
     $FLAGs that the program uses.
+
+    external_axes: of the plan, in the order in which it counts them, before the axes of the arm. Telegrams have them behind these.
 
     follow: only the link program in the submit interpreter is needed then, and only signs of life are sent to it. digital_outputs: they
     are written into the controller's program. The others: see KukaOptions.
@@ -64,6 +78,7 @@ class EkiOptions(KukaOptions):
     beat_ms: float = Field(default=96.0, ge=1, le=1e4, strict=True)
     controller_silence_ms: int = Field(default=1000, ge=100, le=10000, strict=True)
     state_ms: int = Field(default=24, ge=12, le=1000, strict=True)
+    external_axes: tuple[ExternalAxis, ...] = ()
     first_flag: int = Field(default=FIRST, ge=1, le=LARGEST - COUNT + 1, strict=True)
 
     @model_validator(mode="after")
@@ -71,6 +86,41 @@ class EkiOptions(KukaOptions):
         if 2.0 * self.beat_ms > self.controller_silence_ms:
             raise ValueError("beat_ms must be less than half of controller_silence_ms, or the controller brakes by itself")
         return self
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """(n,) names in the order of the telegrams."""
+        return (*AXES, *sorted(axis.name for axis in self.external_axes))
+
+    @property
+    def limits(self) -> np.ndarray:
+        """(n, 2) deg or mm, in the order of the telegrams."""
+        own = dict(zip(AXES, self.limits_deg, strict=True)) | {axis.name: axis.limits for axis in self.external_axes}
+        return np.array([own[name] for name in self.axes])
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(n,) deg/s or mm/s at 100 %, in the order of the telegrams."""
+        own = dict(zip(AXES, self.speed_deg_s, strict=True)) | {axis.name: axis.speed for axis in self.external_axes}
+        return np.array([own[name] for name in self.axes])
+
+    def in_telegram(self, values: np.ndarray) -> np.ndarray:
+        """(n,) as telegrams have them, of positions or speeds (n,) in the order of the plan, in rad or mm."""
+        return (values * self._factor)[self._at]
+
+    def in_plan(self, values: np.ndarray) -> np.ndarray:
+        """Positions (.., n) in the order of the plan, in rad or mm, of those in a telegram."""
+        return np.asarray(values, dtype=float)[..., np.argsort(self._at)] / self._factor
+
+    @property
+    def _factor(self) -> np.ndarray:
+        return np.array([*(1.0 if axis.slides else np.degrees(1.0) for axis in self.external_axes), *(np.degrees(1.0),) * len(AXES)])
+
+    @property
+    def _at(self) -> np.ndarray:
+        """(n,) where the plan has each axis of a telegram."""
+        plan = (*(axis.name for axis in self.external_axes), *AXES)
+        return np.array([plan.index(name) for name in self.axes])
 
     @property
     def modes(self) -> frozenset[int]:

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from mbcacq.devices import Cycles
+from mbcacq_kuka.eki.options import EkiOptions
 from mbcacq_kuka.eki.telegrams import State
 
 MAX_ROWS = 200_000  # more than an hour that nobody fetched
@@ -15,13 +16,14 @@ MAX_ROWS = 200_000  # more than an hour that nobody fetched
 class Record:
     """``add`` from one thread, ``drain`` from another; ``lost`` counts what was not fetched in time."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: EkiOptions) -> None:
+        self._options = options
         self._rows: deque[list[float]] = deque(maxlen=MAX_ROWS)
         self.lost = 0
 
-    def add(self, arrival_s: float, state: State, target_deg: tuple[float, ...] | None, connection: int) -> None:
+    def add(self, arrival_s: float, state: State, target: tuple[float, ...] | None, connection: int) -> None:
         self.lost += len(self._rows) == MAX_ROWS
-        command = (np.nan,) * 6 if target_deg is None else target_deg
+        command = (np.nan,) * len(state.axis) if target is None else target
         age = max(0, state.time - state.beat) if state.beat else np.nan
         self._rows.append(
             [
@@ -31,10 +33,10 @@ class Record:
                 state.moving,
                 age,
                 connection,
-                *state.axis,
-                *command,
                 *state.current,
                 *state.cart,
+                *state.axis,
+                *command,
             ]
         )
 
@@ -45,7 +47,7 @@ class Record:
             taken.append(self._rows.popleft())
         if not taken:
             return Cycles({})
-        rows = np.array(taken, dtype=float)
+        rows, n = np.array(taken, dtype=float), len(self._options.axes)
         return Cycles(
             {
                 "host_time_s": rows[:, 0],
@@ -54,10 +56,10 @@ class Record:
                 "moving": rows[:, 3].astype(bool),
                 "sign_of_life_ms": rows[:, 4],
                 "connection": rows[:, 5],
-                "q": np.radians(rows[:, 6:12]),
-                "q_set": np.full((len(rows), 6), np.nan),
-                "q_command": np.radians(rows[:, 12:18]),
-                "current_percent": rows[:, 18:24],
-                "tool_in_base_mm_deg": rows[:, 24:30],
+                "q": self._options.in_plan(rows[:, 18 : 18 + n]),
+                "q_set": np.full((len(rows), n), np.nan),
+                "q_command": self._options.in_plan(rows[:, 18 + n :]),
+                "current_percent": rows[:, 6:12],
+                "tool_in_base_mm_deg": rows[:, 12:18],
             }
         )

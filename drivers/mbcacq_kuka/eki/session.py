@@ -109,7 +109,7 @@ class EkiSession:
             connection, number = self._connections, max(self._switch, self.latest.switched) + 1
             self._switch = number
             (self._on.add if on else self._on.discard)(output)
-            self._send(telegrams.switch(number, output, on, self.beat))
+            self._send(telegrams.switch(number, output, on, self.beat, self._options.axes))
 
             def settled() -> bool:
                 return self.latest.switched >= number or self._link is None or self._connections != connection
@@ -142,7 +142,7 @@ class EkiSession:
         with self._news:
             if self._watch is not None and not self._watch.arrived:
                 self._watch.abandon()
-        self._send(telegrams.command(STOP, number, self.beat))
+        self._send(telegrams.command(STOP, number, self.beat, names=self._options.axes))
 
     def fail(self, error: MbcacqError) -> None:
         """The first error is kept; the arm is stopped."""
@@ -210,7 +210,7 @@ class EkiSession:
                 self.fail(error)
         if self._beaten < 0 or state.time - self._beaten >= self._options.beat_ms:
             self._beaten = state.time
-            self._send(telegrams.command(BEAT, beat=state.time))
+            self._send(telegrams.command(BEAT, beat=state.time, names=self._options.axes))
 
     def _again(self, how: str) -> bool:
         """The connection is lost. Take it up again if the arm stood still; else say what happened. False: that was all."""
@@ -285,7 +285,7 @@ class EkiSession:
 
     def _dial(self, wait_s: float) -> Link:
         """Raises ConnectError."""
-        link = dial(self._options.address, self._options.port, wait_s, self._quit)
+        link = dial(self._options.address, self._options.port, wait_s, self._quit, self._options.axes)
         self._connections += 1
         self._heard = time.monotonic()
         return link

@@ -23,6 +23,10 @@ REFUSALS = {
     14: "its program does not run",
     15: "the number of the move was used before",
 }
+EXTERNAL_REFUSALS = {
+    19: "it has less external axes than the plan",
+    **{20 + k: f"E{k} would leave the limits written into its program" for k in range(1, 7)},
+}
 SWITCH_REFUSALS = {
     16: "its program may not switch it (the files on the controller must be those that `mbcacq controller-files` writes for this plan)",
     17: "it does not change; is it write-protected, or does another program set it?",
@@ -52,10 +56,10 @@ class Hello:
 
 @dataclass(frozen=True)
 class State:
-    """One moment. time ms; load_kg: as at the last move; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done,
-    cancelled, refused: numbers of moves; code: why one was refused (REFUSALS). switched: number of the last switch of an output;
-    switch_code: 0, or why it was not switched (SWITCH_REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
-    controller had from us.
+    """One moment. time ms; load_kg: as at the last move; axis: (n,) deg, or mm of an external axis that slides, arm first; current:
+    (6,) %; cart: tool in base, mm and deg. last, done, cancelled, refused: numbers of moves; code: why one was refused (REFUSALS).
+    switched: number of the last switch of an output; switch_code: 0, or why it was not switched (SWITCH_REFUSALS). mode: 1 T1, 2 T2,
+    3 AUT, 4 EXT. beat: the last sign of life the controller had from us.
     """
 
     base: int
@@ -86,24 +90,35 @@ class State:
 _INTEGERS = {f.name: f.name.title().replace("_", "") for f in fields(State) if f.type == "int"}
 
 
+def interface(names: Sequence[str]) -> str:
+    """What the programs on the controller must be to move these axes."""
+    return " ".join((INTERFACE, *names[len(AXES) :]))
+
+
 def command(
-    kind: int, number: int = 0, beat: int = 0, speed: float = 0.0, acceleration: int = 0, axes: Sequence[float] = (0.0,) * 6
+    kind: int,
+    number: int = 0,
+    beat: int = 0,
+    speed: float = 0.0,
+    acceleration: int = 0,
+    axes: Sequence[float] | None = None,
+    names: Sequence[str] = AXES,
 ) -> bytes:
-    """Always with every element: EKI keeps a queue for each, and they must not fall out of step. speed: %."""
-    a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(AXES, axes, strict=True))
+    """Always with every element: EKI keeps a queue for each, and they must not fall out of step. names: of all axes; speed: %."""
+    a = " ".join(f'{n}="{v:.6f}"' for n, v in zip(names, axes or (0.0,) * len(names), strict=True))
     return (
         f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}"><Axis {a}></Axis></Command>'
     ).encode("ascii")
 
 
-def switch(number: int, output: int, on: bool, beat: int) -> bytes:
+def switch(number: int, output: int, on: bool, beat: int, names: Sequence[str] = AXES) -> bytes:
     """The command that switches $OUT[output]. Its two values travel where moves have acceleration and speed, as every telegram has the same
     elements."""
-    return command(SWITCH, number, beat, speed=float(on), acceleration=output)
+    return command(SWITCH, number, beat, speed=float(on), acceleration=output, names=names)
 
 
-def parse(data: bytes) -> tuple[Hello | None, State | None]:
-    """One ``<Robot>`` telegram; EKI 3 sends introduction and state apart, EKI 6 always both. Raises BadTelegram."""
+def parse(data: bytes, names: Sequence[str] = AXES) -> tuple[Hello | None, State | None]:
+    """One ``<Robot>`` telegram; EKI 3 sends introduction and state apart, EKI 6 always both. names: of all axes. Raises BadTelegram."""
     try:
         robot = fromstring(data, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError) as error:
@@ -111,7 +126,7 @@ def parse(data: bytes) -> tuple[Hello | None, State | None]:
     hello, state = robot.find("Hello"), robot.find("State")
     if hello is None and state is None:
         raise BadTelegram("it holds neither Hello nor State; is the channel's XML file on the controller ours?")
-    return None if hello is None else _hello(hello), None if state is None else _state(state)
+    return None if hello is None else _hello(hello), None if state is None else _state(state, names)
 
 
 def _hello(element: Element) -> Hello:
@@ -127,12 +142,12 @@ def _hello(element: Element) -> Hello:
     )
 
 
-def _state(element: Element) -> State:
+def _state(element: Element, names: Sequence[str]) -> State:
     integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
     return State(
         **integers,
         load_kg=_numbers(element, ("LoadKg",))[0],
-        axis=_numbers(_child(element, "Axis"), AXES),
+        axis=_numbers(_child(element, "Axis"), names),
         cart=_numbers(_child(element, "Cart"), POSE),
         current=_numbers(_child(element, "Current"), AXES),
     )

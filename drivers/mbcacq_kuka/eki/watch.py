@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mbcacq.devices import DeviceFault, DeviceTimeout, MbcacqError, SafetyStop
 from mbcacq_kuka.eki.options import mode_name
-from mbcacq_kuka.eki.telegrams import REFUSALS, State
+from mbcacq_kuka.eki.telegrams import EXTERNAL_REFUSALS, REFUSALS, State
 
 _TAKE_S, _BEGIN_S, _REACH_S = 2.0, 3.0, 1.0  # robot time to take a move, to begin it, to come to the target once it is done
 _NAMES = {"tool": "tool", "base": "base", "mode": "operating mode"}
@@ -79,7 +79,7 @@ class Watch:
     def _refusal(self, move: Move, state: State) -> MbcacqError | None:
         robot = f"robot '{self._name}'"
         if state.refused == move.number:
-            reason = REFUSALS.get(state.code, f"code {state.code}")
+            reason = (REFUSALS | EXTERNAL_REFUSALS).get(state.code, f"code {state.code}")
             return SafetyStop(
                 f"{robot}: the controller refused the move: {reason}; nothing was moved (the files on the controller must be "
                 "those that `mbcacq controller-files` writes for this plan)"

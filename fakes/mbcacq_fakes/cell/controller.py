@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbcacq.acquisition.cell_devices import robot_options
 from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
@@ -67,15 +68,16 @@ def start_controller(
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
     check_options(use.driver, given)
+    kind = kind_of(use.driver)
+    first = robot.external if kind == EKI else 0
     settings: dict[str, Any] = {
         "realtime": realtime,
         "start_deg": tuple(map(float, use.home_deg)),
-        "dh": rows,
-        "limits_deg": tuple(map(tuple, np.degrees(robot.limits).tolist())),
+        "dh": rows[first:],
+        "limits_deg": tuple(map(tuple, np.degrees(robot.limits[first:]).tolist())),
     }
     if robot.speed is not None:
-        settings["speed_deg_s"] = tuple(np.degrees(robot.speed).tolist())
-    kind = kind_of(use.driver)
+        settings["speed_deg_s"] = tuple(np.degrees(robot.speed[first:]).tolist())
     if kind == OWN:
         controller, options = load_driver("fakes", use.driver)(state, **settings, ports=ports, plan_options=dict(use.options), **given)
         return StartedController(controller, options)
@@ -92,6 +94,9 @@ def start_controller(
         from mbcacq_fakes.dynamics.online import description
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
+    if first:
+        at_home = robot.shown(use.home)
+        settings["external"] = tuple({**axis, "start": float(at_home[i])} for i, axis in enumerate(robot_options(loaded)["external_axes"]))
     if kind == EKI and use.follow is not None:
         settings["running"] = False  # a person jogs it, beside the link program
     given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}

@@ -108,7 +108,7 @@ class SimulatedRobot(ContextDevice):
             arrived = (
                 wanted is not None
                 and not arm.moving
-                and bool(np.abs(arm.q - arm.target).max() <= wanted.tolerance)
+                and bool(np.all(np.abs(arm.q - arm.target) <= wanted.tolerance))
                 and arm.still_s >= wanted.settle_s - 1e-9
             )
             self._under_way = self._under_way and not arrived

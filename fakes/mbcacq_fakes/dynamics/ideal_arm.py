@@ -12,12 +12,12 @@ _STILL_CYCLES = 5
 
 
 class IdealArm:
-    """Six axes. ``step`` advances one controller cycle towards a set point."""
+    """Six axes, and external ones behind them. ``step`` advances one controller cycle towards a set point."""
 
     def __init__(self, start: Sequence[float], cycle_s: float, lag_s: float) -> None:
         self.q = list(start)
-        self.qd = [0.0] * 6
-        self.direction = [0.0] * 6
+        self.qd = [0.0] * len(self.q)
+        self.direction = [0.0] * len(self.q)
         self.standstill, self.arrivals, self.still_cycles = True, 0, _STILL_CYCLES
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / lag_s) if lag_s > 0 else 1.0
@@ -32,7 +32,7 @@ class IdealArm:
         target = self._ahead[0]
         self._ahead.append(set_point)
         q, share, fastest = self.q, self._share, 0.0
-        for axis in range(6):
+        for axis in range(len(q)):
             away = target[axis] - q[axis]
             move = away * share if abs(away) > 1e-7 else away
             if move:
@@ -58,7 +58,7 @@ class IdealArm:
         a2, a23, a5 = radians(self.q[1]), radians(self.q[1] + self.q[2]), radians(self.q[4])
         forearm = 11.0 * cos(a23)
         holding = (0.0, 24.0 * cos(a2) + forearm, forearm, 0.0, 2.5 * cos(a23 + a5), 0.0)
-        return [h + (copysign(3.0, v) + 0.08 * v if v else 0.0) for h, v in zip(holding, self.qd, strict=True)]
+        return [h + (copysign(3.0, v) + 0.08 * v if v else 0.0) for h, v in zip(holding, self.qd[:6], strict=True)]
 
 
 class Kinematics:

@@ -12,7 +12,7 @@ from mbcacq_fakes.world.frame import ScannerFrame
 
 LAST = 0x8000
 HEALTH, STAMP, UNIFORM_SURFACE, INTENSITY, MEASUREMENT, SURFACE_POINTS, MEASUREMENT_2 = 0, 1, 8, 9, 10, 28, 31
-PROFILE_POINTS, UNIFORM_PROFILE = 5, 6
+PROFILE_POINTS = 5
 ALIGNMENT_RESULT = 11
 _SURFACE_STEP, _PROFILE_STEP = 3, 2
 _INVALID_VALUE = -2147483648
@@ -88,14 +88,6 @@ def profile_points(xz: np.ndarray, scaling: Scaling, exposure_ns: int, generatio
     attributes = _profile_attributes(xz.shape[:2], scaling, exposure_ns)
     result, array = _with_array(PROFILE_POINTS, attributes, generation, xz.shape, np.dtype("<i2"))
     array[...] = _raw(xz, scaling.scale[[0, 2]], scaling.offset[[0, 2]])
-    return result
-
-
-def uniform_profile(z: np.ndarray, scaling: Scaling, exposure_ns: int, generation: int = 6) -> bytearray:
-    """z: (C, W) mm at x = offset + column * resolution of the scaling."""
-    attributes = _profile_attributes(z.shape, scaling, exposure_ns)
-    result, array = _with_array(UNIFORM_PROFILE, attributes, generation, z.shape, np.dtype("<i2"))
-    array[...] = _raw(z[..., None], scaling.scale[2:], scaling.offset[2:])[..., 0]
     return result
 
 

@@ -44,7 +44,7 @@ class ControllerProcess(Started):
         try:
             if self.state is None:
                 with signals_deferred():
-                    self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
+                    self.state = ArmState.create(self.settings.start)
             self._process = ChildProcess("-m", self.module)
             answer = self._ask(settings=self.settings.to_json(), state=self.state.name)
             if "error" in answer:

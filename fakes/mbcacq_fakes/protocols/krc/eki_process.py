@@ -136,7 +136,7 @@ class EkiController(KukaController):
         arm = self.system.machine.arm
         q, qd = self.system.machine.radians()
         fault = 0 if self.system.pro_act or self._robot is None else _SOFT_LIMIT if self.system.machine.message else _OPERATOR
-        self._state.write(self.seconds, tuple(q), tuple(qd), tuple(arm.direction), arm.standstill, arm.arrivals, fault)
+        self._state.write(self.seconds, tuple(q), tuple(qd), tuple(self.system.machine.directions()), arm.standstill, arm.arrivals, fault)
 
     def run(self, gone: threading.Event) -> None:
         due = time.monotonic()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import radians
+from typing import Any
 
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.krc.settings import ArmSettings
@@ -42,7 +45,7 @@ class EkiSettings(ArmSettings):
     two entries mbcacq_link_init and mbcacq_link_step for the submit interpreter. channel: text of the EKI channel's XML.
 
     tools, bases: number -> X, Y, Z (mm), A, B, C (deg). loads: number -> kg. realtime: by the clock, or as fast as the client gives signs
-    of life.
+    of life. external: name, slides, limits, speed, start of each external axis, in deg or mm, in the order in which the plan counts them.
     """
 
     sources: dict[str, str]
@@ -61,8 +64,33 @@ class EkiSettings(ArmSettings):
     mode: str = "#EX"
     running: bool = True
     clock_ms: int = 1_000_000
+    external: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         refuse_unknown(self.faults, FAULTS)
         if self.mode not in ("#T1", "#T2", "#AUT", "#EX"):
             raise ValueError("mode must be #T1, #T2, #AUT or #EX")
+
+    @property
+    def behind(self) -> list[dict[str, Any]]:
+        """The external axes as a controller counts them, behind those of the arm."""
+        return sorted(self.external, key=lambda axis: axis["name"])
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of all axes, as KRL writes them."""
+        return ("a1", "a2", "a3", "a4", "a5", "a6", *(axis["name"].lower() for axis in self.behind))
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return tuple(self.as_the_plan([*self.start_deg, *(float(axis["start"]) for axis in self.behind)]))
+
+    def as_the_plan(self, values: Sequence[float]) -> list[float]:
+        """Values of all axes (n,) deg, mm in the plan's order, in rad, mm."""
+        own = {axis["name"]: v if axis["slides"] else radians(v) for axis, v in zip(self.behind, values[6:], strict=True)}
+        return [*(own[axis["name"]] for axis in self.external), *map(radians, values[:6])]
+
+    def as_counted(self, values: Sequence[float]) -> list[float]:
+        """The plan's (n,) deg, as if all axes turned, as this controller counts them, in deg and mm."""
+        own = {axis["name"]: radians(v) if axis["slides"] else v for axis, v in zip(self.external, values, strict=False)}
+        return [*values[len(self.external) :], *(own[axis["name"]] for axis in self.behind)]

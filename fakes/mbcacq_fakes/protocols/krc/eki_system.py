@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import radians
 from typing import Any
 
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
@@ -14,7 +13,7 @@ from mbcacq_fakes.protocols.krc.motion import Path, angles, frame, ptp, tool_in_
 
 TICK_S = 0.004
 _MODES = ("", "#T1", "#T2", "#AUT", "#EX")
-_AXES, _POSE = ("a1", "a2", "a3", "a4", "a5", "a6"), ("x", "y", "z", "a", "b", "c")
+_POSE = ("x", "y", "z", "a", "b", "c")
 LED_PERCENT = 20.0  # of the axes' speeds, by hand
 
 
@@ -79,21 +78,22 @@ class System:
         self.peri_rdy = self.alarm_stop = self.user_saf = True
         self.stopmess = self.pro_act = False
         self.vel_axis, self.acc_axis = Cells(6, 100), Cells(6, 100)
+        self.vel_extax, self.acc_extax, self.ex_ax_num = Cells(6, 100), Cells(6, 100), len(settings.external)
         self.advance, self.act_tool, self.act_base = 3, -1, -1
         self.robroot = _struct(settings.robroot)
         self.tool = self.base = _struct((0.0,) * 6)
         self.load = Struct(m=-1.0, cm=_struct((0.0,) * 6))
         self.machine = Machine(self, settings)
-        self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, seed=0)
+        self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, seed=0, axes=len(settings.axes))
 
     @property
     def axis_act_meas(self) -> Struct:
         shown = self._encoders.read(self.machine.arm.q, self.rob_timer // round(TICK_S * 1e3))
-        return Struct(**dict(zip(_AXES, shown, strict=True)))
+        return Struct(**dict(zip(self.machine.axes, shown, strict=True)))
 
     @property
     def pos_act(self) -> Struct:
-        flange = frame(self.machine.kinematics.pose(self.machine.arm.q))
+        flange = frame(self.machine.kinematics.pose(self.machine.arm.q[:6]))
         return _struct(angles(tool_in_base(flange, frame(_row(self.tool)), frame(_row(self.base)), frame(_row(self.robroot)))))
 
     @property
@@ -116,9 +116,12 @@ class Machine:
 
     def __init__(self, system: System, settings: EkiSettings) -> None:
         self._system, self._settings = system, settings
-        self.arm = IdealArm(settings.start_deg, TICK_S, settings.lag_s)
+        start = (*settings.start_deg, *(float(axis["start"]) for axis in settings.behind))
+        self.axes, self.arm = settings.axes, IdealArm(start, TICK_S, settings.lag_s)
+        self._limits = (*settings.limits_deg, *(axis["limits"] for axis in settings.behind))
+        self._speed = (*settings.speed_deg_s, *(axis["speed"] for axis in settings.behind))
         self.kinematics = Kinematics(settings.dh)
-        self._set_point: tuple[float, ...] = tuple(settings.start_deg)
+        self._set_point: tuple[float, ...] = start
         self._path: Path | None = None
         self.ignore, self.short_deg = False, 0.0
         self.message = ""
@@ -134,23 +137,27 @@ class Machine:
         return self._path is not None or self._stuck
 
     def begin(self, target: Any) -> None:
-        if self._system.advance != 0 and not _here(target, self.arm.q):
+        if self._system.advance != 0 and not self._here(target):
             raise KrlError("this controller drives only with $ADVANCE=0")
         self._stuck = self.ignore
         if self.ignore:
             return
-        goal = [getattr(target, a) for a in _AXES]
-        if any(not low <= v <= high for v, (low, high) in zip(goal, self._settings.limits_deg, strict=True)):
+        goal = [getattr(target, a, now) for a, now in zip(self.axes, self._set_point, strict=True)]  # what is not given stays
+        if any(not low <= v <= high for v, (low, high) in zip(goal, self._limits, strict=True)):
             self.fail("software limit switch")
             return
         goal[0] -= self.short_deg
-        percent = ([self._system.vel_axis[k] for k in range(1, 7)], [self._system.acc_axis[k] for k in range(1, 7)])
-        self._path = ptp(self._set_point, goal, self._settings.speed_deg_s, percent)
+        system, behind = self._system, [int(a[1:]) for a in self.axes[6:]]
+        percent = (
+            [system.vel_axis[k] for k in range(1, 7)] + [system.vel_extax[k] for k in behind],
+            [system.acc_axis[k] for k in range(1, 7)] + [system.acc_extax[k] for k in behind],
+        )
+        self._path = ptp(self._set_point, goal, self._speed, percent)
 
     def lead(self, target_deg: Sequence[float]) -> None:
-        """A person jogs the arm to ``target_deg`` (6,), while no program moves it."""
-        self.led = True
-        self._path = ptp(self._set_point, target_deg, self._settings.speed_deg_s, ((LED_PERCENT,) * 6, (LED_PERCENT,) * 6))
+        """A person jogs the arm to ``target_deg`` (n,) in the plan's order, while no program moves it."""
+        self.led, by_hand = True, (LED_PERCENT,) * len(self.axes)
+        self._path = ptp(self._set_point, self._settings.as_counted(target_deg), self._speed, (by_hand, by_hand))
 
     def brake(self) -> None:
         self._stuck = self.led = False
@@ -175,7 +182,15 @@ class Machine:
 
     def radians(self) -> tuple[list[float], list[float]]:
         """Joints and their speeds, rad and rad/s."""
-        return [radians(v) for v in self.arm.q], [radians(v) for v in self.arm.qd]
+        return self._settings.as_the_plan(self.arm.q), self._settings.as_the_plan(self.arm.qd)
+
+    def directions(self) -> list[float]:
+        """Direction of each axis' last motion, in the plan's order."""
+        own = dict(zip(self.axes, self.arm.direction, strict=True))
+        return [*(own[axis["name"].lower()] for axis in self._settings.external), *self.arm.direction[:6]]
+
+    def _here(self, target: Any) -> bool:
+        return all(abs(getattr(target, a, 1e9) - v) < 1e-6 for a, v in zip(self.axes, self.arm.q, strict=True))
 
 
 def _struct(values: Sequence[float]) -> Struct:
@@ -186,10 +201,6 @@ def _row(value: Struct) -> list[float]:
     return [getattr(value, a) for a in _POSE]
 
 
-def _here(target: Any, q: Sequence[float]) -> bool:
-    return all(abs(getattr(target, a, 1e9) - v) < 1e-6 for a, v in zip(_AXES, q, strict=True))
-
-
 def built_in(system: System, settings: EkiSettings) -> dict[str, Any]:
     """BAS and the message interrupt of the base program."""
 
@@ -197,7 +208,7 @@ def built_in(system: System, settings: EkiSettings) -> dict[str, Any]:
         if command == "#INITMOV":
             system.advance = 3
             for k in range(1, 7):
-                system.vel_axis[k] = system.acc_axis[k] = 100
+                system.vel_axis[k] = system.acc_axis[k] = system.vel_extax[k] = system.acc_extax[k] = 100
         elif command == "#TOOL":
             system.tool, system.act_tool = _struct(settings.tools.get(str(number), (0.0,) * 6)), number
             system.load = Struct(m=float(settings.loads.get(str(number), 0.0)), cm=_struct((0.0,) * 6))

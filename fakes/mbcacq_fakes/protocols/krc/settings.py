@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from math import radians
 from typing import Any
 
 from mbcacq_fakes.protocols.faults import refuse_unknown
@@ -59,6 +60,11 @@ class ArmSettings:
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Where all axes stand first, rad or mm, in the plan's order."""
+        return tuple(map(radians, self.start_deg))
 
 
 @dataclass(frozen=True, kw_only=True)
