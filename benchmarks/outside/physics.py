@@ -281,7 +281,7 @@ def bearing_run_out(w: World, size: float) -> tuple[str, ...]:
     lift = 0.2 * size * pressed * np.cos(2 * w.q[:, i] + w.rng.uniform(0, 6.28))
     bend = w.obs.cell.robot.chain.rows[i, 3]
     w.behind[:, i] += lift[:, None] * (turns(np.array([[-bend, 0.0, 0.0]]))[0] @ UP)
-    return f"link{i + 1}", f"A{i + 1}"
+    return f"link{i}", f"link{i + 1}"  # on both sides of the bearing
 
 
 def cable_at_wrist(w: World, size: float) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import TICKS_PER_US, ArrayMessage
 from mbcacq_gocator.layouts import INVALID, PROFILE_POINTS, TYPE_NAMES, UNIFORM_PROFILE
 
-QUIET_S = 0.3  # without a data set, after which a stopped sensor has sent all
 _POLL_S = 0.05
+_QUIET = 8  # polls without a data set, after which a stopped sensor has sent all; a busy computer polls more slowly
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,9 @@ class ProfileSource(Protocol):
     def stop(self) -> None: ...
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        """The profiles of the next data set, copied; None if it has none. Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
+        """The profiles of the next data set, copied; None if it has none, or the session is closed.
+
+        Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
         ...
 
 
@@ -72,20 +74,20 @@ class ProfileStream:
         self._error: MbcacqError | None = None
         self._frame: int | None = None  # of the last profile that was returned
         self.latest_s = after_s  # its time
-        self._seen = 0.0
         self._thread = threading.Thread(target=self._read, name="gocator-profiles", daemon=True)
         session.start()
         self._thread.start()
 
     def end(self) -> None:
-        """Stop the sensor and wait for what is under way. Raises as ``GocatorSession.stop``."""
+        """Stop the sensor and wait for what is under way. Raises as ``stop`` of the session, and what ended the stream before."""
         try:
             if self._thread.is_alive():
                 self._session.stop()
         finally:
-            self._seen = time.monotonic()
             self._ending.set()
             self._thread.join(self._timeout_s)
+        if self._error is not None:
+            raise self._error
 
     def taken(self) -> Profiles:
         """All since the last call. Raises what ended the stream, once nothing else is left."""
@@ -108,13 +110,15 @@ class ProfileStream:
     def _read(self) -> None:
         sock = self._session.data_socket
         try:
-            while not (self._ending.is_set() and time.monotonic() > self._seen + QUIET_S):
+            empty = 0
+            while not (self._ending.is_set() and empty >= _QUIET):
                 if sock is None or not self._session.is_wanted:
                     return
                 if not select.select([sock], [], [], _POLL_S)[0]:
+                    empty = empty + 1 if self._ending.is_set() else 0
                     continue
                 found = self._session.next_profiles(time.monotonic() + self._timeout_s)
-                self._seen = time.monotonic()
+                empty = 0
                 if found is not None:
                     with self._lock:
                         self._blocks.append(found)

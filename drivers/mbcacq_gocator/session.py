@@ -89,8 +89,8 @@ class GocatorSession:
         return not self._cancelled()
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        assert self.reader is not None, "the data channel is open"
-        return block_of(read_set(self.reader, deadline))
+        reader = self.reader
+        return None if reader is None else block_of(read_set(reader, deadline))
 
     def close(self) -> None:
         self.control.close()

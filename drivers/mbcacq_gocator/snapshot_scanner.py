@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
@@ -19,6 +20,7 @@ from mbcacq.devices import (
     DeviceTimeout,
     Fact,
     IdentityError,
+    MbcacqError,
     Profiles,
     ProtocolError,
     Scan,
@@ -120,8 +122,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         Raises ConfigError (it streams profiles), DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the connection broke), Aborted
         (``stop`` was called).
         """
-        if not self._wanted:
-            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        self._refuse_unconnected()
         if self._mode == "profile":
             raise ConfigError(f"scanner '{self.name}' streams profiles; use a step 'sweep', or another mode in its options")
         with self._one_capture:
@@ -162,21 +163,36 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def start_profiles(self) -> None:
         if self._mode != "profile":
             raise ConfigError(f"scanner '{self.name}' takes {self._mode} scans; say mode: profile in its options")
-        with named(self.name):
+        self._refuse_unconnected()
+        with self._streaming():
             session = self._connect()
             self._watch(session)
             self._stream = ProfileStream(session, self._timeout_s, -np.inf if self._stream is None else self._stream.latest_s)
 
+    def _refuse_unconnected(self) -> None:
+        if not self._wanted:
+            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+
     def profiles(self) -> Profiles:
         if self._stream is None:
             raise ConfigError(f"scanner '{self.name}' takes no profiles; call start_profiles first")
-        with named(self.name):
+        with self._streaming():
             return self._stream.taken()
 
     def end_profiles(self) -> None:
         if self._stream is not None:
-            with named(self.name):
+            with self._streaming():
                 self._stream.end()
+
+    @contextmanager
+    def _streaming(self) -> Iterator[None]:
+        """After an error the next stream has a new connection: nobody knows what is still under way on this one."""
+        try:
+            with named(self.name):
+                yield
+        except MbcacqError:
+            self._drop()
+            raise
 
     def _connect(self) -> S:
         if self._session is not None and self._session.has_ended:

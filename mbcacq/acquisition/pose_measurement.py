@@ -18,7 +18,7 @@ from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
-from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, line_scanner, take_sweep
+from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, StreamBroke, line_scanner, take_sweep
 from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
 
@@ -103,7 +103,11 @@ class PoseMeasurement:
         self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
         self.bus.state("scanning")
         self.facts.mark()
-        profiles = take_sweep(pose, self.loaded, scanner, self.bus, self.mover, self.collector)
+        try:
+            profiles = take_sweep(pose, self.loaded, scanner, self.bus, self.mover, self.collector)
+        except StreamBroke as broken:
+            self._leave_out(pose, str(broken), "look at the sensor, its cable and its network")
+            return False
         if profiles.lost:
             self.bus.gap("profiles", f"pose {pose.number}: the scanner lost {profiles.lost} of its profiles", pose.number)
         if changed := self.facts.since_mark():

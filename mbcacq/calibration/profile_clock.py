@@ -168,6 +168,12 @@ def adjust_in_motion(
     )
 
 
+def misfit_mm(motion: FlangeMotion, seen: SeenSections, at: ProfilesInMotion) -> float:
+    """Median distance by which circles miss their sphere; infinite where the arm is known at less than half of the profiles."""
+    rows, _, _, _, _, known, _ = _linearised(motion, seen, at)
+    return float(np.median(np.linalg.norm(rows[known], axis=1))) if known.mean() >= 0.5 else np.inf
+
+
 @dataclass(frozen=True)
 class Passes:
     """Stretches of ways over a sphere, each as its centre at one moment.

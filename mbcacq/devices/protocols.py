@@ -251,7 +251,8 @@ class ProfileScanner(Device, Protocol):
         ...
 
     def end_profiles(self) -> None:
-        """Stop, and return once all profiles that were under way have come; the next ``profiles()`` has them."""
+        """Stop, and return once all profiles that were under way have come; the next ``profiles()`` has them. Raises the error that ended
+        the stream before."""
         ...
 
 

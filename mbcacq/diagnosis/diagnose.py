@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.executor import Refit, Refitting, TimeBudget, WorkerPool, processes
+from mbcacq.diagnosis.executor import Refit, Refitting, TimeBudget, WorkerPool, give_back_freed_memory, processes
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
@@ -70,11 +70,16 @@ def _diagnose(
     refit: Refit | None,
 ) -> Diagnosis:
     """The diagnosis, computed by the processes of a pool."""
-    progress("fitting the geometry")
+
+    def begins(stage: str) -> None:
+        give_back_freed_memory()
+        progress(stage)
+
+    begins("fitting the geometry")
     problem, notes = linearised(recordings, options, budget)
     refitting = Refitting(refit, pool)
 
-    progress("searching for effects")
+    begins("searching for effects")
     early = repeated_early(replace(problem, budget=budget), folds, pool)
     part, fit, members = search(problem)
     if problem.in_part:  # what is left nearly always asks for groups at all locations
@@ -82,7 +87,7 @@ def _diagnose(
     full = fit_everywhere(problem, part, fit, members)
     variations = noise_variations(full)
     if variations and not problem.in_part and not problem.budget.spent:
-        progress("searching for effects again, with the noise as it depends on the place")
+        begins("searching for effects again, with the noise as it depends on the place")
         problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
         full = fit_model(problem)
     kept = kept_model(full)
@@ -90,12 +95,12 @@ def _diagnose(
 
     problem = replace(problem, budget=budget)
     again, halves = early or repeated(problem, full, folds, pool)
-    validation = validated(full, again, progress)
+    validation = validated(full, again, begins)
     kept, left_out = predicting_better(kept, full, validation)
     refitting.begin(kept)
     parts = repetitions(full, halves)
 
-    progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
+    begins("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     result = replace(conclude(problem, full, validation, parts), model=kept or None)
     if formulas:
         proposals, tried = propose(problem, full, result.effects, progress)
@@ -105,7 +110,7 @@ def _diagnose(
     result = replace(result, notes=noted, noise_depends_on=dependences)
     if not refitting.begun:
         return result
-    progress("fitting the cell with its effects")
+    begins("fitting the cell with its effects")
     model, further = refitting.answer()
     return replace(result, model=model, notes=(*result.notes, *further))
 

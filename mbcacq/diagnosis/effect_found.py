@@ -128,7 +128,7 @@ class FoundAgain:
     values : Mapping[str, tuple[ParameterEstimate, ...]]
         By parameter, one estimate for each part in which it was found.
     size_spread : Number
-        Of something unmodelled, the relative standard deviation of sizes as disjoint parts differ, pooled over all locations.
+        Of something unmodelled, the relative standard deviation of its size as disjoint parts differ, pooled over its kind; the largest.
     """
 
     at: str

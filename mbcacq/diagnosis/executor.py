@@ -49,8 +49,13 @@ def freed_memory_kept() -> Iterator[None]:
         yield
     finally:
         _set(USUAL)
-        if (library := _library()) is not None:
-            library.malloc_trim(0)
+        give_back_freed_memory()
+
+
+def give_back_freed_memory() -> None:
+    """To the system, between the stages of a diagnosis: what lies between arrays that are kept no later array fits into."""
+    if (library := _library()) is not None:
+        library.malloc_trim(0)
 
 
 def _set(values: dict[int, int]) -> None:

@@ -79,7 +79,7 @@ Sigma = Annotated[np.ndarray, InJson(list[FiniteFloat | None], _bounded, _or_non
 Known = Annotated[np.ndarray, as_list(list[Number])]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)  # arrays have no one truth value
 class EffectTerm(EveryKey):
     """A parametric effect, or a group of basis functions of an unmodelled one, with its coefficients.
 

@@ -23,6 +23,7 @@ from mbcacq.estimation.terms import PER_POSE, Part
 from mbcacq.estimation.whitening import CentreWhitening
 
 WIDE = 24  # functions of one displacement from which its columns are not written out
+AT_ONCE = 4096  # rows of a part of the poses that are copied
 
 
 @dataclass(frozen=True)
@@ -93,11 +94,21 @@ class WhitenedColumns:
         N = self.written.shape[1]
         totals = [np.empty((N + sum(p.basis.shape[1] for p in self._wide),) * 2) for _ in parts]
         for total, part in zip(totals, parts, strict=True):
-            written = self.written if part.all() else self.written[np.repeat(part[self._obs.pose], self._width)]
-            total[:N, :N] = written.T @ written
+            total[:N, :N] = self._square_of(None if part.all() else np.repeat(part[self._obs.pose], self._width))
         self._add_wide(totals, parts)
         last, index = N - 1, self.index
         return [ColumnProducts(total[np.ix_(index, index)], total[last, index], float(total[last, last])) for total in totals]
+
+    def _square_of(self, rows: np.ndarray | None) -> np.ndarray:
+        """(N, N): products over some rows (M R,) bool, copied some at a time; None: over all."""
+        if rows is None:
+            return self.written.T @ self.written
+        chosen, size = np.flatnonzero(rows), self.written.shape[1]
+        total = np.zeros((size, size))
+        for start in range(0, len(chosen), AT_ONCE):
+            some = self.written[chosen[start : start + AT_ONCE]]
+            total += some.T @ some
+        return total
 
     def _add_wide(self, totals: Sequence[np.ndarray], parts: Sequence[np.ndarray]) -> None:
         N = self.written.shape[1]

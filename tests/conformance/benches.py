@@ -14,6 +14,7 @@ from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 from bench_opcua import opcua
+from bench_profiles import profiles
 from bench_simulated import OPTIONS_OF_OTHERS, simulated
 from bench_simulated_scanner import simulated_scanner
 from bench_ur import NO_IDENTITY as NO_IDENTITY_OF_UR
@@ -30,6 +31,8 @@ BENCHES = {
         DriverBench("gocator", "scanner", gocator),
         DriverBench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
         DriverBench("gopxl", "scanner", gopxl),
+        DriverBench("gocator profiles", "scanner", partial(profiles, "classic")),
+        DriverBench("gopxl profiles", "scanner", partial(profiles, "GoPxL")),
         DriverBench("kuka_rsi", "robot", kuka_rsi, excused=NO_IDENTITY),
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),

@@ -36,6 +36,7 @@ QUICK = {
     "simulated",
     "simulated scanner",
     "gocator",
+    "gopxl profiles",
     "kuka_eki",
     "modbus positioner",
     "opcua",

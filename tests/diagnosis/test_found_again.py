@@ -19,7 +19,6 @@ from mbcacq.diagnosis.validation.found_again import (
     relative_sizes,
     relative_spread,
     shows,
-    size_spread,
     spread_of_kinds,
     with_spread_between_parts,
 )
@@ -204,19 +203,13 @@ def test_what_halves_put_now_to_one_link_and_now_to_the_next_is_at_none_for_cert
     assert spread["link1", "q1"] == spread["link2", "q2"] == pytest.approx(np.sqrt(0.5))
 
 
-def test_the_size_of_something_unmodelled_is_no_surer_than_halves_agree():
-    spread = size_spread(model(2.0, 3.0).random, [model(1.8, 3.3), model(2.2, 2.7)])
-    assert spread == pytest.approx(0.1 / 0.6745)
-    unmodelled = EffectFound(
-        name="unknown",
-        where=("A1",),
-        parameters={"A1(q1).rms_mm": ParameterEstimate(0.05, 0.001), "A2(q2).rms_mm": ParameterEstimate(0.02, 0.004)},
-        p_value=1e-9,
-        held_out_gain=0.9,
-        found_again=(FoundAgain("A1", 2, 2, True, size_spread=spread),),
-    )
-    (found,) = with_spread_between_parts([unmodelled])
-    assert [p.std for p in found.parameters.values()] == [pytest.approx(0.05 * spread), 0.004]
+def test_the_size_of_one_kind_is_no_surer_than_halves_agree_on_it_and_another_kind_stays_as_sure_as_it_is():
+    whole = [RandomEffect(at, on, (), np.array([1.0])) for at, on in (("A1", "q1"), ("A2", "q2"), ("mount", "q6"))]
+    halves = [[replace(g, sigma=size * g.sigma) for g, size in zip(whole, sizes, strict=True)] for sizes in ([1.1, 0.9, 2], [0.9, 1.1, 1])]
+    parts = [PartModel(model=NO_EFFECTS, random=tuple(half), stated={}) for half in halves]
+    keys = [(g.location, g.depends_on) for g in whole]
+    spread = spread_of_kinds({key: relative_sizes(whole, parts, key) for key in keys})
+    assert [spread[key] for key in keys] == pytest.approx([0.1, 0.1, 1 / 3])
 
 
 def test_something_unmodelled_that_a_part_has_under_another_name_is_found_again():

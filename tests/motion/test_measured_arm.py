@@ -79,3 +79,18 @@ def test_following_of_the_set_point_is_explained_in_part(kr300, axis, share):
 def test_friction_of_every_joint_is_found(kr300):
     assert {e.where for e in kr300.named_effects if e.name == "friction"} == {(f"A{j}",) for j in range(1, 7)}
     assert kr300.verdict == "partly_explained"
+
+
+def test_two_motions_of_one_arm_state_the_same_of_its_drives(shared_data):
+    """One motion cannot tell the speed that a drive feeds forward from friction and load; its uncertainty says so."""
+    recorded = [read_trajectory_set(shared_data / f"kr300-trajectory-{k}") for k in "ab"]
+    one, other = (
+        {key: value for e in diagnose_trajectories([r], cross_validation=False).effects if e.name == "drive_lag" for key, value in e.parameters.items()}
+        for r in recorded
+    )  # fmt: skip
+    both = one.keys() & other.keys()
+    assert {"A1.latency_s", "A1.speed_gain", "A2.speed_gain", "A3.latency_s"} <= both
+    assert all(abs(one[key].value - other[key].value) <= 2.0 * np.hypot(one[key].std, other[key].std) for key in both)
+    assert all(
+        estimate.value > 2.0 * estimate.std for stated in (one, other) for key, estimate in stated.items() if key.endswith("constant_s")
+    )

@@ -8,8 +8,8 @@ from mbcacq_fakes.cell.fake_cell import FakeCell
 
 import mbcacq
 from mbcacq.acquisition.mover import Mover
-from mbcacq.acquisition.sweep_measurement import take_sweep
-from mbcacq.devices import Cycles, SafetyStop
+from mbcacq.acquisition.sweep_measurement import StreamBroke, take_sweep
+from mbcacq.devices import ConnectError, Cycles, SafetyStop
 from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
@@ -19,6 +19,7 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.assemble import assemble
 from mbcacq.recording.rrd.reader import Recording, intact
 from mbcacq.recording.rrd.sweeps import sweep_observations
+from mbcacq.workflow import acquire
 
 PLANS = Path(__file__).parents[2] / "plans"
 BEGAN_S = 950.25
@@ -103,30 +104,56 @@ def test_a_sweep_moves_all_axes_in_proportion_within_the_limits_at_the_speed_ask
     assert speed[middle] == pytest.approx(60.0, rel=0.05)
 
 
-def test_an_arm_that_stops_in_mid_sweep_ends_the_stream(plan):
-    pose, calls = expand(plan)[0], []
+class Arm(Mover):
+    """Goes where it is asked, or raises."""
 
-    class Stopped(Mover):
-        def __init__(self):
-            pass
+    def __init__(self, fault=None):
+        self.fault = fault
 
-        def state(self):
-            return type("State", (), {"time_s": 1.0})()
+    def state(self):
+        return type("State", (), {"time_s": 1.0})()
 
-        def go(self, target, limits=None):
-            raise SafetyStop("the brakes closed")
+    def go(self, target, limits=None):
+        if self.fault is not None:
+            raise self.fault
 
-    class Line:
-        def start_profiles(self):
-            calls.append("start")
 
-        def end_profiles(self):
-            calls.append("end")
+class Line:
+    """A scanner whose stream breaks off: ``end`` says so."""
 
-    class Nothing:
-        def mark(self):
-            pass
+    def __init__(self):
+        self.calls = []
 
-    with pytest.raises(SafetyStop, match="the brakes closed"):
-        take_sweep(pose, plan, Line(), None, Stopped(), Nothing())
-    assert calls == ["start", "end"]
+    def start_profiles(self):
+        self.calls.append("start")
+
+    def end_profiles(self):
+        self.calls.append("end")
+        raise ConnectError("the cable was pulled")
+
+
+class Nothing:
+    def mark(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"), [(SafetyStop("the brakes closed"), "the brakes closed"), (None, "its profiles broke off: the cable was pulled")]
+)
+def test_a_sweep_that_breaks_off_says_why_and_the_arm_counts_first(plan, fault, said):
+    line = Line()
+    with pytest.raises(SafetyStop if fault else StreamBroke, match=said):
+        take_sweep(expand(plan)[0], plan, line, None, Arm(fault), Nothing())
+    assert line.calls == ["start", "end"]
+
+
+def test_a_sweep_whose_cable_is_pulled_is_left_out_and_the_others_are_taken(plan, tmp_path):
+    poses = expand(plan)[:3]
+    run = acquire.plan_acquisition(plan, poses, frozenset(), 0, "the fake cell of seed 0")
+    run.folder = acquire.new_run_folder(tmp_path / "run", "profiler")
+    with FakeCell(plan, poses, seed=0) as cell:
+        cell.faults.scanner("close_in_message", times=1)
+        run.execute(cell.overrides())
+    rows = [row for row in Recording(run.folder / layout.RUN_FILE).rows(layout.SWEEP) if "points" in row]
+    assert [int(row["pose"][0]) for row in rows] == [poses[1].number, poses[2].number]
+    assert all(len(row["counter"]) > 60 for row in rows)

@@ -115,7 +115,7 @@ MISTAKES = [  # what happened, what is typed, what the sentence says
     (nothing, "export runs/x/result.jso --results out", "did you mean result.json"),
     (nothing, "export runs/x --results out", "--simulated-anyway"),
     (nothing, "report runs/monday-2", "does not exist; did you mean monday?"),
-    (nothing, "calibrate lates", "lates does not exist; did you mean latest?"),
+    (nothing, "calibrate lates", "lates does not exist; did you mean latest"),
     (nothing, "serve runs/x/result.json", "give the folder that holds them"),
     (nothing, "view runs/x/plan.yaml", "is a plan"),
     (written("result.json", '{"format": "mbcacq-result/0"}'), "report runs/x", "is no calibration result of format 'mbcacq-result/1'"),

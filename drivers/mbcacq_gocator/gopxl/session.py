@@ -196,8 +196,8 @@ class GoPxLSession:
         return not self._cancelled()
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        assert self._reader is not None, "the data channel is open"
-        return profile_block(gdp.read_set(self._reader, deadline), self.options.right_handed)
+        reader = self._reader
+        return None if reader is None else profile_block(gdp.read_set(reader, deadline), self.options.right_handed)
 
     def start(self) -> None:
         """Let the sensor run, waiting for triggers, if it does not already."""

@@ -121,7 +121,7 @@ def continuous_effects(model: MotionModel) -> list[Member]:
 
 def uncertain_effects(model: MotionModel) -> list[Member]:
     """The selected effects whose hyper-parameter makes their coefficients uncertain: it is estimated, or the nearest of those tried."""
-    return [e for e in model.selected if e.candidate.hyper is not None and e.candidate.hyper.name and e.hyper]
+    return [e for e in model.selected if (hyper := e.candidate.hyper) is not None and (hyper.refine or (hyper.name and e.hyper))]
 
 
 def add_derivatives(model: MotionModel, effects: Sequence[Member], chosen: np.ndarray, x: np.ndarray) -> list[np.ndarray]:

@@ -77,14 +77,18 @@ class JointModel:
         self.sigma = np.concatenate([sigma, *(g.sigma for g in self.random)])
         self.geometry = np.arange(first)
 
+    def written_columns(self) -> WhitenedColumns:
+        """The whitened columns, anew at each call: those of groups are hundreds, as long as the recording."""
+        return WhitenedColumns(self.linear, self.whiten, self.known, [g.parts for g in self.random])
+
     @cached_property
     def columns(self) -> WhitenedColumns:
-        return WhitenedColumns(self.linear, self.whiten, self.known, [g.parts for g in self.random])
+        return self.written_columns()
 
     @cached_property
     def products(self) -> ColumnProducts:
         """Products of the columns over all centres that the whitener keeps."""
-        return self.columns.products()
+        return (self.written_columns() if self.random else self.columns).products()
 
     @cached_property
     def posterior(self) -> Posterior:

@@ -139,7 +139,8 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     """
     if not full.random:
         return []
-    size = displacements(full)
+    spread = {label: one.size_spread for label, one in again.items()}
+    size = {key: (rms, max(std, spread.get(group_label(*key), 0.0) * rms)) for key, (rms, std) in displacements(full).items()}
     ranked = sorted(size, key=lambda key: -size[key][0])
     out = list[Ranked]()
 
@@ -158,8 +159,6 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
 
     if full.everywhere:
         first = full.cells[0]
-        spread = {key: again[label].size_spread for key in ranked if (label := group_label(*key)) in again}
-        size = {key: (rms, max(std, spread.get(key, 0.0) * rms)) for key, (rms, std) in size.items()}
         stated = [key for key in ranked if size[key][0] > K * size[key][1]] or ranked[:1]
         gain, columns = validation.unmodelled_gain, contributions.unmodelled
         entry(first.location, first.depends_on, stated[:MOST_GROUPS], first.log_bayes_factor, gain, columns)

@@ -97,13 +97,13 @@ def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:
 
 
 def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTerm]:
-    """The unmodelled effects of a hypothesis."""
-    found, out = hypothesis.solved, list[EffectTerm]()
+    """The unmodelled effects of a hypothesis. Two functions of one joint by one angle or load are one process."""
+    found, out = hypothesis.solved, dict[str, EffectTerm]()
     for m, own in zip(hypothesis.members, found.slices(), strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
-            out += over_whole_range(here, replace(term, sigma=m.size * m.candidate.typical))
-    return out
+            out |= {t.key: t for t in over_whole_range(here, replace(term, sigma=m.size * m.candidate.typical))}
+    return list(out.values())
 
 
 def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coefficients: np.ndarray, std: np.ndarray) -> EffectTerm:

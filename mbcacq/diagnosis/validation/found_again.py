@@ -19,7 +19,6 @@ from mbcacq.effects.over_time import NAME as MOMENT
 from mbcacq.quantities import K
 
 Repetitions = Mapping[str, FoundAgain]  # by ``name:where``
-MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
 SAME_MOMENT = 0.05  # share of the poses within which two moments may be one: parts have not the same poses
 
 
@@ -34,16 +33,14 @@ def repetitions(full: ModelFit, again: RepeatedSearch) -> Repetitions:
         found = [part.stated[label] for part in parts if label in part.stated and same_moment(own[label], part.stated[label], poses)]
         values = {name.partition(BY)[0]: tuple(stated[name] for stated in found if name in stated) for name in own[label]}
         out[label] = FoundAgain(label.partition(":")[2], len(found), len(parts), again.of_halves, values)
-    for at in dict.fromkeys(group.location for group in full.random):
-        found_in = sum(shows(part, at, own) for part in parts)
-        # At all locations each size has the spread of its kind; of a few groups there are no kinds.
-        spread = size_spread(full.random, parts) if again.of_halves and not full.everywhere else 0.0
-        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=spread)
     keys = dict.fromkeys((group.location, group.depends_on) for group in full.random)
     ratios = {key: relative_sizes(full.random, parts, key) for key in keys}
     spread = spread_of_kinds(ratios) if again.of_halves else dict.fromkeys(keys, 0.0)
     for key, sizes in ratios.items():
         out[group_label(*key)] = FoundAgain(key[0], int(np.sum(sizes > 0)), len(parts), again.of_halves, size_spread=spread[key])
+    for at in dict.fromkeys(at for at, _ in keys):
+        found_in, largest = sum(shows(part, at, own) for part in parts), max(spread[key] for key in keys if key[0] == at)
+        out[label_of(UNKNOWN, (at,))] = FoundAgain(at, found_in, len(parts), again.of_halves, size_spread=largest)
     return out
 
 
@@ -59,14 +56,6 @@ def relative_sizes(whole: Sequence[RandomEffect], parts: Sequence[PartModel], ke
         return max((float(g.sigma.max()) for g in groups if (g.location, g.depends_on) == key), default=0.0)
 
     return np.array([size(part.random) for part in parts]) / size(whole)
-
-
-def size_spread(whole: Sequence[RandomEffect], parts: Sequence[PartModel]) -> float:
-    """Relative standard deviation of the sizes of random effects, as parts differ by, pooled over those that all parts have."""
-    each = (relative_sizes(whole, parts, key) for key in dict.fromkeys((g.location, g.depends_on) for g in whole))
-    # By the median: sizes of what is hardly there differ by far more than those that are reported.
-    spreads = [relative_spread(sizes) for sizes in each if np.all(sizes > 0)]
-    return float(np.median(spreads)) / MEDIAN_OF_NORMAL if spreads else 0.0
 
 
 def relative_spread(sizes: np.ndarray) -> float:
@@ -112,10 +101,6 @@ def with_spread_between_parts(effects: Sequence[EffectFound]) -> list[EffectFoun
 def _spread(effect: EffectFound) -> dict[str, ParameterEstimate]:
     out, spreads = dict(effect.parameters), dict[str, np.ndarray]()
     for one in effect.found_again:
-        if one.size_spread:
-            for name, stated in effect.parameters.items():
-                values, stds = (np.array(x) for x in stated.components)
-                out[name] = like(stated, values, np.maximum(stds, one.size_spread * np.abs(values)))
         here = {name: effect.parameters[name] for name in one.values if name in effect.parameters}
         count = min((len(each) for each in one.values.values()), default=0)
         if count < 2 or not one.disjoint:

@@ -13,6 +13,7 @@ _ALIGNED = {"Z": -12.5, "YAngle": 0.25}
 
 def start(state: SensorState) -> None:
     """Raises CommandRefused where the sensor runs already."""
+    state.catch_up()  # at rest: the profiles of this start begin now
     with state.lock:
         if state.running:
             raise CommandRefused(INVALID_STATE)

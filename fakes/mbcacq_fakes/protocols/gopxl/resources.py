@@ -250,9 +250,9 @@ class Resources:
         return found
 
     def _run(self, on: bool) -> None:
-        if not on:
-            self.catch_up()
+        self.catch_up()  # at rest: the profiles of this start begin now
         before, self.running = self.running, on
+        self.catch_up()
         if before != on:
             self.changed("/system", {"runState": int(on)})
 

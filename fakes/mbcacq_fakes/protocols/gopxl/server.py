@@ -119,7 +119,8 @@ class FakeGoPxL(SensorServer):
             elif source == resources.LASER_PROFILE:
                 frame = ScannerFrame(np.stack([profile[:, 0], 0 * profile[:, 0], profile[:, 1]], axis=1)[None].astype(np.float32))
                 parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
-        self.data.wait_for_client(0.5)
+        if not index:
+            self.data.wait_for_client(0.5)
         if self.resources.gdp_enabled:
             self.data.publish(_packed(parts, index), PATIENCE_S)
 

@@ -14,6 +14,7 @@ from mbcacq_fakes.protocols.krc.motion import Path, angles, frame, ptp, tool_in_
 TICK_S = 0.004
 _MODES = ("", "#T1", "#T2", "#AUT", "#EX")
 _POSE = ("x", "y", "z", "a", "b", "c")
+REAL = 1e-5  # deg or mm: resolution of a REAL of 32 bits, by which a target at a limit may be beyond it
 LED_PERCENT = 20.0  # of the axes' speeds, by hand
 
 
@@ -143,7 +144,7 @@ class Machine:
         if self.ignore:
             return
         goal = [getattr(target, a, now) for a, now in zip(self.axes, self._set_point, strict=True)]  # what is not given stays
-        if any(not low <= v <= high for v, (low, high) in zip(goal, self._limits, strict=True)):
+        if any(not low - REAL <= v <= high + REAL for v, (low, high) in zip(goal, self._limits, strict=True)):
             self.fail("software limit switch")
             return
         goal[0] -= self.short_deg
