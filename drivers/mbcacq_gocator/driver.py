@@ -49,7 +49,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
-        super().__init__(name, model, self.options, about)
+        super().__init__(name, model, self.options, self.options.mode, about)
         self._before: Before | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)

@@ -39,7 +39,7 @@ def _exposures(value: Any) -> tuple[float, ...]:
 
 class GocatorOptions(SnapshotOptions):
     """exposures_us: all of them at every capture, made
-    into one scan as ``bracket`` says. password: of the
+    into one scan as ``bracket`` says. mode: profile streams the profiles of a line scanner, as its job triggers them. password: of the
     sensor's administrator, where its security is on; "$NAME" takes that environment variable, so that no plan need hold it. The others: see
     SnapshotOptions.
     """

@@ -164,5 +164,6 @@ def joined(blocks: Sequence[ProfileBlock]) -> Profiles:
         counts.append(valid.sum(axis=1))
     count = np.concatenate(counts)
     kinds = {"counter": np.int64, "time_s": float, "encoder": np.int64, "inputs": np.int64}
-    columns = {name: np.concatenate([np.zeros(0, kind), *(getattr(b, name) for b in blocks)]) for name, kind in kinds.items()}
-    return Profiles(**columns, first=np.cumsum(count) - count, points=np.concatenate(points))
+    of = {name: np.concatenate([np.zeros(0, kind), *(getattr(b, name) for b in blocks)]) for name, kind in kinds.items()}
+    first = np.cumsum(count) - count
+    return Profiles(of["counter"], of["time_s"], of["encoder"], of["inputs"], first, np.concatenate(points))

@@ -12,12 +12,10 @@ from mbcacq.devices import DriverOptions, is_host
 class SnapshotOptions(DriverOptions):
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. allow_aligned: accept
     points that are not in the sensor's own coordinates. timeout_s: longest wait for a scan. reply_limit_s: caps the protocol's own time
-    limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays. mode: profile streams the profiles of a
-    line scanner, as its job triggers them.
+    limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays.
     """
 
     sensor: ClassVar[str] = "sensor"  # in sentences
-    mode: str  # each generation has its own
 
     address: str = ""
     serial: int | None = Field(default=None, ge=1, le=2**32 - 1, strict=True)

@@ -64,12 +64,13 @@ def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
 
 
 class SnapshotScanner(ContextDevice, ABC, Generic[S]):
-    """Implements mbcacq.devices.Scanner. Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``."""
+    """Implements mbcacq.devices.Scanner and ProfileScanner. mode: of the options, 'profile' for a line scanner. Once stopped it stays
+    stopped: ``capture`` raises Aborted until the next ``connect``."""
 
-    def __init__(self, name: str, model: str, options: SnapshotOptions, description: Description) -> None:
+    def __init__(self, name: str, model: str, options: SnapshotOptions, mode: str, description: Description) -> None:
         self.name, self.model = name, model
         self._exposure_us, self._description = options.exposure_us, description
-        self._mode, self._timeout_s = options.mode, options.timeout_s
+        self._mode, self._timeout_s = mode, options.timeout_s
         self._stream: ProfileStream | None = None
         self._cancel = threading.Event()
         self._one_capture = threading.Lock()
@@ -148,12 +149,10 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         No checksum guards a message, and one wrong bit of a scale or an offset moves the whole cloud. They are settings of the job. A
         sensor that has others in every scan is believed, with a warning.
         """
-        known = [self._geometry]
-        for _ in range(_EXPOSURES):
-            scan = expose()
-            if session.geometry in known:
-                break
+        known, scan = [self._geometry], expose()
+        while session.geometry not in known and len(known) < _EXPOSURES:
             known.append(session.geometry)
+            scan = expose()
         if self._geometry not in (None, session.geometry):
             text = f"scale, offset or size of the scans changed from {self._geometry} to {session.geometry}"
             scan = replace(scan, warnings=(*scan.warnings, text))

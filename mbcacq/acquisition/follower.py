@@ -22,7 +22,8 @@ REMIND_S = 20.0  # between two sentences on how far the arm still is
 class Follower:
     """Waits for an arm that a person, or its own program, moves; takes the place of ``Mover``, and has its members.
 
-    still: rad; a joint that moves by more does not stand. lead: of a fake arm, brings it near a target in a person's place.
+    still: rad, or (n,) in the units of the axes; a joint that moves by more does not stand. lead: of a fake arm, brings it near a
+    target in a person's place.
     """
 
     def __init__(
@@ -31,7 +32,7 @@ class Follower:
         limits: MotionLimits,
         collector: CycleCollector,
         follow: FollowUse,
-        still: float,
+        still: float | np.ndarray,
         bus: EventBus,
         lead: Callable[[np.ndarray], None] | None = None,
     ) -> None:

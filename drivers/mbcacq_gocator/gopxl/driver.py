@@ -44,7 +44,7 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
-        super().__init__(name, model, self.options, about)
+        super().__init__(name, model, self.options, self.options.mode, about)
         self._found: Found | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)

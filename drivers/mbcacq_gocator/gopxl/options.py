@@ -12,9 +12,10 @@ from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 
 class GoPxLOptions(SnapshotOptions):
-    """mode: surface takes scans by software trigger. data_port: 0 takes the one that the sensor names. source: id of the data source, ''
-    for the scanner's own surface or profile. uniform: a height map, or profiles in equal steps of x, instead of a point cloud.
-    right_handed: turn x of the sensor's left-handed frame round. The others: see SnapshotOptions.
+    """mode: surface takes scans by software trigger, profile streams profiles as the job triggers them. data_port: 0 takes the one that
+    the sensor names. source: id of the data source, '' for the scanner's own surface or profile. uniform: a height map, or profiles in
+    equal steps of x, instead of a point cloud. right_handed: turn x of the sensor's left-handed frame round. The others: see
+    SnapshotOptions.
     """
 
     control_port: int = Field(default=3600, ge=1, le=65535, strict=True)

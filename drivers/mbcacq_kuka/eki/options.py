@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbcacq.devices import HOST, DriverOptions, parse_options
@@ -108,7 +109,7 @@ class EkiOptions(KukaOptions):
         """(n,) as telegrams have them, of positions or speeds (n,) in the order of the plan, in rad or mm."""
         return (values * self._factor)[self._at]
 
-    def in_plan(self, values: np.ndarray) -> np.ndarray:
+    def in_plan(self, values: ArrayLike) -> np.ndarray:
         """Positions (.., n) in the order of the plan, in rad or mm, of those in a telegram."""
         return np.asarray(values, dtype=float)[..., np.argsort(self._at)] / self._factor
 

@@ -44,8 +44,10 @@ class LineSource(Protocol):
 class LineSensor(Protocol):
     """The sensor whose profiles are sent."""
 
-    options: LineSensorOptions
     closing: threading.Event
+
+    @property
+    def options(self) -> LineSensorOptions: ...
 
     def profile_period_s(self) -> float | None:
         """Between two profiles; None while the sensor is at rest."""

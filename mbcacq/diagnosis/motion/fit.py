@@ -182,7 +182,7 @@ def _averaged(effects: list[FittedEffect], sets: EvidenceFit | None) -> list[Fit
         return effects
     between, out = BetweenSets.of(sets), list[FittedEffect]()
     for e in effects:
-        parameters, hyper = between.averaged([e.candidate.label], e.found.parameters), e.candidate.hyper
+        parameters, hyper = dict(between.averaged([e.candidate.label], e.found.parameters)), e.candidate.hyper
         if hyper is not None and not hyper.from_none and hyper.name in parameters:
             values, stds = parameters[hyper.name].components
             if any(K * std >= value for value, std in zip(values, stds, strict=True)):

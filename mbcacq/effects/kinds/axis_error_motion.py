@@ -68,7 +68,7 @@ def _of_slide(context: Context, i: int) -> list[Motion]:
 def _of_table(context: Context, i: int) -> list[Motion]:
     x, y, along = _axes(context, i)
     motions = (("wobble", "rad", [x, y], along), ("radial_run_out", "mm", [x, y], along), ("axial_run_out", "mm", [along], along))
-    return [(f"{name}_{k}", *motion, k) for k in ORDERS for name, *motion in motions]
+    return [(f"{name}_{k}", unit, ways, arm, k) for k in ORDERS for name, unit, ways, arm in motions]
 
 
 def _axes(context: Context, i: int) -> np.ndarray:
@@ -106,7 +106,7 @@ def _candidate(
         """Root mean square over the poses of what is not geometry."""
         rms = float(np.sqrt(c @ square @ c))
         slope = square @ c / max(rms, 1e-30)
-        return {f"{axis}.{motion}_rms_{unit}": number(rms, np.sqrt(slope @ v @ slope))}
+        return {f"{axis}.{motion}_rms_{unit}": number(rms, float(np.sqrt(slope @ v @ slope)))}
 
     rows = StandstillRows(described() if unit == "mm" else described, np.tile(SIZE[unit] / order, len(directions)))
     support, hyper = Support(LARGEST[unit], LIMIT), None if unit == "mm" else Hyperparameter("", PIVOTS, 3.0, refine=False)
