@@ -131,8 +131,9 @@ class ModbusSensor(ContextDevice):
         """A reading that was doubted and read again."""
         return self._plausible.facts()
 
-    def _read_again(self) -> dict[str, float]:
-        self._link.keep_in_step()
+    def _read_again(self, doubted: bool) -> dict[str, float]:
+        if doubted:
+            self._link.keep_in_step()
         return self._read_all()
 
     def _read_all(self) -> dict[str, float]:

@@ -47,18 +47,19 @@ class Plausibility:
         self._read_again = "none"
 
     def checked(
-        self, device: str, values: dict[str, float], again: Callable[[], dict[str, float]], now: Callable[[], float]
+        self, device: str, values: dict[str, float], again: Callable[[bool], dict[str, float]], now: Callable[[], float]
     ) -> dict[str, float]:
         """A reading, or that of ``again`` if it cannot follow the last one. Raises DeviceFault if the second cannot either.
 
-        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong.
+        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong. again: reads once more;
+        its argument says whether the first reading is doubted.
         """
         if not self._last and (self._max_rates or self._temperatures):
             self.believe(values, now())
-            values = again()
+            values = again(False)
         first = self.doubt(values, now())
         if first is not None:
-            values = again()
+            values = again(True)
             second = self.doubt(values, now())
             if second is not None and second.sure:
                 raise DeviceFault(f"{device}: {second.text}; check its probes, and that nothing else asks on this line")

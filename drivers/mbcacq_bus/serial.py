@@ -89,8 +89,9 @@ class SerialSensor(ContextDevice):
         """A reading that was doubted and read again."""
         return self._plausible.facts()
 
-    def _read_again(self) -> dict[str, float]:
-        self._link.keep_in_step()  # what was read may have been the late answer to an earlier question
+    def _read_again(self, doubted: bool) -> dict[str, float]:
+        if doubted:
+            self._link.keep_in_step()  # what was read may have been the late answer to an earlier question
         return self._read_once(time.monotonic())
 
     def _read_once(self, oldest: float) -> dict[str, float]:

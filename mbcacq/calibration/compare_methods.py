@@ -18,7 +18,7 @@ from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.held_out_poses import about_best_station, predicted, rms
-from mbcacq.errors import CalibrationError
+from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.options import CalibrationOptions, select_phases
@@ -193,7 +193,11 @@ def nominal(obs: Observations) -> CellState:
 
 def hand_eye_only(obs: Observations) -> CellState | CalibratedCell:
     """Nominal arm; hand-eye and stations by maximum likelihood, of a recording that contradicts its description as well."""
-    return _with_instrument(obs, calibrate(obs, CalibrationOptions(kinematics=False, refuse=False)))
+    try:
+        cell = calibrate(obs, CalibrationOptions(kinematics=False))
+    except ContradictionError:
+        cell = calibrate(obs, CalibrationOptions(kinematics=False, refuse=False))
+    return _with_instrument(obs, cell)
 
 
 def _with_instrument(obs: Observations, cell: CalibratedCell) -> CellState | CalibratedCell:

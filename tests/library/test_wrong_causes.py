@@ -146,7 +146,7 @@ def test_the_next_step_of_a_result_by_itself_is_a_command_about_it(tmp_path):
     """Not the help of another command; the result in a run's folder leads to the report of the run."""
     alone = tmp_path / "alone.json"
     alone.touch()
-    assert judge_first(alone)[1] == f"mbcacq export {alone} --results results"
+    assert judge_first(alone)[1] == f"mbcacq verify {alone} OTHER"
     results = tmp_path / "results"
     results.mkdir()
     (results / "arm.mjcf.xml").touch()

@@ -77,7 +77,10 @@ def equal(run, whole):
     order = np.argsort(b.pose_id)
     rows = np.argsort(np.argsort(order)[b.pose], kind="stable")
     np.testing.assert_array_equal(b.ball[rows], a.ball)
-    np.testing.assert_array_equal(b.xyz[rows], a.xyz)
+    # A part's first scan is exposed twice, and the second exposure has noise of its own.
+    anew = np.unique(a.pose[(b.xyz[rows] != a.xyz).any(axis=1)])
+    assert len(anew) < len(layout.parts(run))
+    np.testing.assert_allclose(b.xyz[rows], a.xyz, rtol=0, atol=0.1)
     np.testing.assert_array_equal(b.direction[order], a.direction)
     np.testing.assert_allclose(b.q[order], a.q, rtol=0, atol=1e-12)  # the mean over another number of equal cycles
 
