@@ -14,7 +14,6 @@ from mbcacq.camera.intrinsics import Intrinsics, opencv
 from mbcacq.camera.marker_edges import corners_of_edges
 from mbcacq.errors import ConfigError
 
-KINDS = ("charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles")
 LEAST_POINTS = 6  # of an image: its pose has six unknowns, and four points leave too little to judge it
 WINDOW = 0.3  # half of the window about an inner corner, over the distance to the next
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
@@ -35,7 +34,7 @@ class Board:
     Attributes
     ----------
     kind : str
-        One of ``KINDS``.
+        charuco, chessboard, aruco, april, circles or asymmetric-circles.
     columns, rows : int
         Squares of a charuco board, inner corners of a chessboard, markers, or circles.
     pitch_mm : float

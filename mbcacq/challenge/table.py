@@ -73,11 +73,6 @@ def text(value: Any) -> str:
     return f"{100 * value:.0f} %" if isinstance(value, float) else str(value)
 
 
-def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "|".join("---" if i == 0 else "--:" for i in range(len(COLUMNS))) + "|"]
-    return "\n".join(lines + ["| " + " | ".join(cells(entry)) + " |" for entry in rows])
-
-
 def line(s: Score) -> str:
     """One challenge in words."""
     if not s.truth:

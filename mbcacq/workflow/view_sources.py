@@ -26,7 +26,6 @@ from mbcacq.recording.datasets.hand_eye_sets import table_of
 from mbcacq.recording.datasets.loose_table import TableOptions, conventions_of
 from mbcacq.recording.datasets.pose_columns import PoseHeadings, named_convention
 
-POLL_S = 0.1
 STOOD_S = 1.0  # that an arm stands before its image counts
 STILL = from_degrees(0.01)  # of a joint that stands
 MOVED = from_degrees(2.0)  # of a joint, from which the arm is at another view

@@ -24,7 +24,7 @@ REFUSALS = {
     15: "the number of the move was used before",
 }
 EXTERNAL_REFUSALS = {
-    19: "it has less external axes than the plan",
+    19: "it has fewer external axes than the plan",
     **{20 + k: f"E{k} would leave the limits written into its program" for k in range(1, 7)},
 }
 SWITCH_REFUSALS = {
