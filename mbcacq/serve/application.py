@@ -118,14 +118,7 @@ class Pages:
 
 
 def create_application(root: Path, port: int) -> Flask:
-    """The application that shows the runs below a folder at 127.0.0.1:port.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be read.
-    """
-    find_runs(root)
+    """The application that shows the runs below a folder at 127.0.0.1:port."""
     app = Flask(__name__)
     app.jinja_options = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
     app.jinja_env.globals["root"] = str(root.absolute()).encode("utf-8", "replace").decode()
