@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -88,11 +89,8 @@ def chosen(runs: list[ListedFolder], choice: RunChoice) -> ChosenRuns:
     """Without reading more of a run than its name, its lock, and its kind where one is asked for."""
     times = {run.key: time_of(run) for run in runs}
     fitting = sorted((r for r in runs if choice.fits(r, times[r.key])), key=lambda r: (times[r.key], r.name), reverse=True)
-    cells: dict[str, int] = {}
-    for run in runs:
-        cells[cell_of(run)] = cells.get(cell_of(run), 0) + 1
     pages = max(-(-len(fitting) // ON_A_PAGE), 1)
     first = ON_A_PAGE * (min(choice.page, pages) - 1)
-    several = {name: count for name, count in sorted(cells.items(), key=lambda one: -one[1]) if count > 1}
+    several = {name: count for name, count in Counter(map(cell_of, runs)).most_common() if count > 1}
     locked = [run for run in runs if OWNER_FILE in run.files and lock_owner(run.folder) is not None]
     return ChosenRuns(fitting[first : first + ON_A_PAGE], locked, several, len(fitting), pages)

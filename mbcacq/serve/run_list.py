@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
@@ -48,17 +49,15 @@ def find_runs(root: Path) -> RunList:
         os.scandir(root).close()
     except OSError as error:
         raise ConfigError(f"{root} cannot be read as a folder of runs: {error.strerror}; give the folder that holds them") from None
-    runs, fleets, count = [], [], 0
-    for found in _folders(root, "", DEPTH):
-        count += 1
-        if count > MOST:
-            break
+    runs, fleets = [], []
+    folders = list(islice(_folders(root, "", DEPTH), MOST + 1))
+    for found in folders[:MOST]:
         if FLEET_PAGE in found.files or FLEET_TABLE in found.files:
             fleets.append(found)
         elif not found.files.isdisjoint(RUN_FILES) or any(name.startswith("run") and name.endswith(".rrd") for name in found.files):
             runs.append(found)
     ordered = [sorted(found, key=lambda f: f.name, reverse=True) for found in (runs, fleets)]
-    return RunList(*({f.key: f for f in found} for found in ordered), left_out=count > MOST)
+    return RunList(*({f.key: f for f in found} for found in ordered), left_out=len(folders) > MOST)
 
 
 def _folders(folder: Path | str, below: str, depth: int) -> Iterator[ListedFolder]:
