@@ -19,6 +19,7 @@ from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.profiles import ProfileBlock, block_of
+from mbcacq_gocator.snapshot_scanner import exposure_reported
 from mbcacq_gocator.status import SensorRefused
 
 _RECEIVE_BUFFER = 4 * 2**20
@@ -131,6 +132,13 @@ class GocatorSession:
                 f"the Gocator's alignment changed during the run, from '{self.alignment}' to '{now}'; scans before and after cannot be "
                 "compared: keep others away from its web page, and start a new run"
             )
+
+    def exposure_set(self) -> str:
+        """Raises DeviceFault where somebody has changed other settings."""
+        before, now = self.configuration, self._read_configuration()
+        assert before is not None, "the session is open"
+        check_unchanged(before.scan_settings(), now.scan_settings())
+        return exposure_reported(now.exposure_us or 0.0, before.exposure_us)
 
     def set_exposure(self, exposure_us: float) -> None:
         """Write the exposure into the live job, if it is another one; a running sensor is stopped for it."""
