@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mbcacq.devices import DeviceFault, MbcacqError, Profiles, ProtocolError
+from mbcacq.devices import DeviceFault, DeviceTimeout, MbcacqError, Profiles, ProtocolError
 from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import TICKS_PER_US, ArrayMessage
 from mbcacq_gocator.layouts import INVALID, PROFILE_POINTS, TYPE_NAMES, UNIFORM_PROFILE
@@ -88,6 +88,8 @@ class ProfileStream:
             self._thread.join(self._timeout_s)
         if self._error is not None:
             raise self._error
+        if self._thread.is_alive():
+            raise DeviceTimeout(f"profiles still come {self._timeout_s:g} s after the sensor was stopped; see that nothing else starts it")
 
     def taken(self) -> Profiles:
         """All since the last call. Raises what ended the stream, once nothing else is left."""

@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Mapping
 
-from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
+from mbcacq.devices import ConfigError, DeviceFault, IdentityError, ProtocolError, hang_up, has_ended
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
@@ -209,7 +209,7 @@ class GocatorSession:
         """Name of the job that is loaded now."""
         try:
             return self.files.loaded_job()
-        except (SensorRefused, MbcacqError):
+        except (SensorRefused, ProtocolError):
             return "live"
 
 
