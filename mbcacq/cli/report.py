@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
@@ -30,8 +31,6 @@ def command(
       mbcacq report latest --pdf
       mbcacq report ur5-tracker --diagnose --out ur5.html
     """
-    import mbcacq
-
     if pdf and out is None and run.is_dir():
         out = run / "report.pdf"
     if pdf and out is not None and out.suffix.lower() != ".pdf":

@@ -14,7 +14,8 @@ from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.gopxl.driver import GoPxL
-from mbcacq_gocator.profiles import ProfileStream, block_of, joined
+from mbcacq_gocator.profiles import block_of, joined
+from mbcacq_gocator.sensor_session import ProfileStream
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, ProfileScanner, ProtocolError
 
@@ -72,8 +73,8 @@ class Endless:
     is_wanted = True
 
     def __init__(self):
-        self.data_socket, self._other = socket.socketpair()
-        self._other.send(b"x")
+        self.data, self.other = socket.socketpair()
+        self.other.send(b"x")
 
     def start(self):
         pass
@@ -92,6 +93,8 @@ def test_profiles_that_come_after_the_stop_are_no_whole_sweep():
             stream.end()
     finally:
         sensor.is_wanted = False
+        sensor.data.close()
+        sensor.other.close()
 
 
 class Ramp:

@@ -16,10 +16,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbcacq.devices import parse_options
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.spheres.cloud_files import read_points
-from mbcacq_fakes.cell.build_world import make_camera, make_world
+from mbcacq_fakes.cell.build_world import check, make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.stall import HANGING_S
@@ -66,8 +68,6 @@ class Servers:
         return self._camera.temperatures()
 
     def mishap(self, **details: Any) -> None:
-        from mbcacq_fakes.cell.build_world import check
-
         mishap = Mishap(**details)
         check(FakeOptions(mishaps=(mishap,)), self._camera.world.facts)
         self._camera.mishap(mishap)
@@ -288,8 +288,6 @@ def _refuse_unknown(given: Mapping[str, Any], options: Any) -> None:
 
 
 def _volume(view: ScannerView) -> Any:
-    import numpy as np
-
     half = np.maximum(view.near_half, view.far_half)
     return np.array([-half[0], -half[1], view.far_z]), np.array([half[0], half[1], view.near_z])
 
