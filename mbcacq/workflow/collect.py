@@ -100,6 +100,8 @@ def collect(
         before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, CELL)
         for sentence in before.repairs:
             operator.message(sentence)
+        if sources.joints is None:
+            operator.message("joint angles are those of the plan; the arm's own log is given with --joints")
         found = pair_clouds(loaded, sources, done=before.done, operator=operator)
         evaluated = folder is None or all((folder / name).exists() for name in ("result.json", "report.html"))
         if not found.poses and (evaluated or not before.done):
