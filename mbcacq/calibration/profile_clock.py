@@ -156,16 +156,8 @@ def adjust_in_motion(
         )
     _, _, passing, s, velocity, known, _ = _linearised(motion, seen, at)
     clock = replace(at.clock, covariance=A[6:8, 6:8], jitter_s=float(np.sqrt(sizes[0])))
-    return replace(
-        at,
-        clock=clock,
-        covariance=A,
-        pose_sigma_mm=float(np.sqrt(sizes[1])),
-        used=used & known,
-        sphere_in_scanner=s,
-        velocity=velocity,
-        passing=passing,
-    )
+    found = replace(at, clock=clock, covariance=A, pose_sigma_mm=float(np.sqrt(sizes[1])), used=used & known)
+    return replace(found, sphere_in_scanner=s, velocity=velocity, passing=passing)
 
 
 def misfit_mm(motion: FlangeMotion, seen: SeenSections, at: ProfilesInMotion) -> float:
@@ -234,16 +226,9 @@ def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotio
     _, delay, found = best
     clock = SensorClock(float(seen.time_s.mean()), delay, 0.0, np.zeros((2, 2)))
     nothing = np.zeros((len(seen.circles), 6))
+    used, sphere = np.ones(len(nothing), dtype=bool), found.sphere[None]
     return ProfilesInMotion(
-        T_hand_eye=found.T_hand_eye,
-        spheres=found.sphere[None],
-        clock=clock,
-        covariance=np.eye(11),
-        pose_sigma_mm=0.0,
-        used=np.ones(len(nothing), dtype=bool),
-        sphere_in_scanner=nothing[:, :3],
-        velocity=nothing,
-        passing=nothing[:, :3],
+        found.T_hand_eye, sphere, clock, np.eye(11), 0.0, used, nothing[:, :3], velocity=nothing, passing=nothing[:, :3]
     )
 
 

@@ -38,21 +38,10 @@ def share_of(
     rank = layout.size - int(layout.blocks[0].free.sum()) - sum(len(names) for names in kept)
     rank += int(np.sum(np.linalg.matrix_rank(together.station_covariance[stations])))
     whitened = together.whitened[centres]
-    fit = replace(
-        together,
-        observations=obs,
-        options=options,
-        coefficients=coefficients,
-        station_covariance=together.station_covariance[stations],
-        weights=weights,
-        residual=together.residual[centres],
-        whitened=whitened,
-        chi2=float(np.sum(whitened**2)),
-        dof=max(int(used.sum()) * whitened.shape[1] - rank, 0),
-        rank=rank,
-        rejected=(),
-        correlated=(),
-    )
+    dof, places = max(int(used.sum()) * whitened.shape[1] - rank, 0), together.station_covariance[stations]
+    own = replace(together, observations=obs, options=options, coefficients=coefficients, station_covariance=places, weights=weights)
+    fit = replace(own, residual=together.residual[centres], whitened=whitened, chi2=float(np.sum(whitened**2)), dof=dof, rank=rank)
+    fit = replace(fit, rejected=(), correlated=())
     noise, covariance = _own_noise(whole.noise, every, int(poses[0])), whole.covariance[np.ix_(index, index)]
     return fit, CellEstimate(state=state, layout=layout, covariance=covariance, noise=noise, effects=whole.effects)
 

@@ -284,16 +284,7 @@ class _Stage:
             options = replace(options, displaced=tuple((t.at_poses(poses, obs.pose), c) for t, c in options.displaced))
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *further, *unmodelled.at(obs))
-        return cls(
-            fitted=fitted,
-            options=options,
-            observations=obs,
-            weights=weights,
-            built=built,
-            groups=groups,
-            scale=np.ones(len(groups)),
-            estimate=start,
-        )
+        return cls(fitted, options, obs, weights, built, groups, scale=np.ones(len(groups)), estimate=start)
 
     def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
         """The same sizes and estimate by all poses."""

@@ -172,14 +172,8 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
     home = _home(spec, PoseSpec.model_validate(scanner["hand_eye"]).transform())
     robot |= {"speed": 0.3, "settle_s": 0.3, "home_deg": [float(v) for v in home]}
     if track is not None:
-        axis = {
-            "name": "E1",
-            "type": "prismatic",
-            "carries": "arm",
-            "direction": [1, 0, 0],
-            "limits_mm": list(track),
-            "speed_mm_s": TRACK_MM_S,
-        }
+        axis = {"name": "E1", "type": "prismatic", "carries": "arm", "direction": [1, 0, 0]}
+        axis |= {"limits_mm": list(track), "speed_mm_s": TRACK_MM_S}
         robot |= {"external_axes": [axis], "home_external": [sum(track) / 2]}
     return {
         "format": "mbcacq-plan/1",

@@ -127,19 +127,9 @@ def varying_most(obs: Observations, squares: SquaresOfPoses, of: str, sigma_mm: 
     near, far = (float(np.interp(end, np.sort(x), scale[np.argsort(x)])) for end in (low, high))
     if p_value > LEAST_P or max(near, far) < OPTIONS.noticeable * min(near, far):
         return None
-    return Variation(
-        NoiseDependence(
-            of=of,
-            covariate=name,
-            unit=unit,
-            low=float(low),
-            high=float(high),
-            sigma_low_mm=sigma_mm * near,
-            sigma_high_mm=sigma_mm * far,
-            p_value=p_value,
-        ),
-        scale,
-    )
+    low, high, near, far = float(low), float(high), sigma_mm * near, sigma_mm * far
+    entry = NoiseDependence(of=of, covariate=name, unit=unit, low=low, high=high, sigma_low_mm=near, sigma_high_mm=far, p_value=p_value)
+    return Variation(entry, scale)
 
 
 def with_noise_scale(obs: Observations, found: list[Variation]) -> Observations:

@@ -37,16 +37,9 @@ def periodic_component(
     orders to try around it; trials: how many were compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere
     its phase is not known, and it is zero."""
     name, declared = effect
-    return Candidate(
-        name,
-        (axis,),
-        own_angle(axis),
-        MotionRows((joint,), _columns(observed)),
-        _report(axis, declared.amplitude, declared.scale),
-        Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
-        several=True,
-        variant=f"{order:.4g}",
-    )
+    rows, report = MotionRows((joint,), _columns(observed)), _report(axis, declared.amplitude, declared.scale)
+    hyper = Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials)
+    return Candidate(name, (axis,), own_angle(axis), rows, report, hyper, several=True, variant=f"{order:.4g}")
 
 
 def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint: int) -> OrderRange | None:

@@ -185,16 +185,7 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
         return ParameterBlock("chain", names, units, free, start, scale, why, group=group)
     if prior is None:
         return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
-    return ParameterBlock(
-        name="chain",
-        names=names,
-        units=units,
-        free=free,
-        sigma=prior.sigma.reshape(-1),
-        scale=scale,
-        why=why,
-        centre=prior.mean.reshape(-1),
-    )
+    return ParameterBlock("chain", names, units, free, prior.sigma.reshape(-1), scale, why, centre=prior.mean.reshape(-1))
 
 
 def _acts_like(robot: RobotModel, i: int, parameter: str) -> str:

@@ -24,7 +24,7 @@ POWER = 1.2816  # quantile of the normal distribution: a change is noticed with 
 UNSEEN = 1e4  # usual changes: what is noticed no sooner is not seen at all
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Suspect:
     """One thing that may have changed. probability: among all changes, given a change; size, std: of its coefficients, in ``units``.
     explains: share of what is seen of the change, in that of the best description."""
@@ -250,18 +250,8 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
         names, units = (r.parameters, r.units) if named else ((), ())
-        out.append(
-            Suspect(
-                name=r.name,
-                where=r.where,
-                probability=float(probability[k]),
-                parameters=names,
-                units=units,
-                size=sizes,
-                std=stds,
-                explains=chi2 / max(most, 1e-300),
-            )
-        )
+        about = Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, explains=chi2 / max(most, 1e-300))
+        out.append(about)
     return tuple(out)
 
 

@@ -71,15 +71,8 @@ def described(placed: Sequence[PlacedTerm]) -> list[DescribedPart]:
 def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarray) -> Candidate:
     """The terms as one effect, whose coefficients have these typical sizes (k,)."""
     parts, first = described(placed), placed[0]
-    return Candidate(
-        NAME,
-        (first.location.name,),
-        first.term.covariates[0],
-        StandstillRows(parts, typical),
-        lambda c, v, h: {},
-        several=True,
-        variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
-    )
+    variant, rows = " + ".join(f"{p.label}{list(p.term.columns)}" for p in placed), StandstillRows(parts, typical)
+    return Candidate(NAME, (first.location.name,), first.term.covariates[0], rows, lambda c, v, h: {}, several=True, variant=variant)
 
 
 @dataclass(frozen=True)

@@ -91,15 +91,9 @@ class EffectSelection:
         shown = [that_show(tuple(forms), information) for forms in offered]
         candidates = [tuple(sized(one, prior, information) for one in forms) for forms in shown if forms]
         members = tuple(sized(e, prior, information) for e in model.selected)
-        self._colour = colour
-        self._search = search = MotionSearch(
-            candidates=candidates,
-            prior=SetPrior.of([forms[0].candidate for forms in candidates], 1, odds_of_common=ODDS_OF_COMMON),
-            alternatives=alternatives,
-            narrow=True,
-            settle=settle,
-            budget=self.budget,
-        )
+        of = SetPrior.of([forms[0].candidate for forms in candidates], 1, odds_of_common=ODDS_OF_COMMON)
+        search = MotionSearch(candidates=candidates, prior=of, alternatives=alternatives, narrow=True, settle=settle, budget=self.budget)
+        self._colour, self._search = colour, search
         alone = np.asarray(store.base, dtype=int)
         of_alone = model.weights(alone)
         # The start of the search matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.

@@ -324,16 +324,5 @@ def motion_series(
                 )
                 time = float(trajectory.time_s[0]) + run.step_s * np.arange(len(measured))
                 number = names.index(trajectory.name)
-                found.append(
-                    ChannelSeries(
-                        channel=fit.group.name,
-                        at=at,
-                        unit=unit,
-                        recording=number,
-                        time_s=time,
-                        measured=scale * measured,
-                        before=before,
-                        after=after,
-                    )
-                )
+                found.append(ChannelSeries(fit.group.name, at, unit, number, time, measured=scale * measured, before=before, after=after))
     return MotionSeries(trajectories[0].robot.name, names, tuple(found))

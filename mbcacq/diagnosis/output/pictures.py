@@ -154,15 +154,9 @@ def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     for m, p in zip(model.members, model.slices(), strict=True):
         candidate, hyper = m.candidate, m.hyper
         order = hyper if candidate.periodic else None
-        found = model.coefficients[p], model.covariance[p, p]
-        yield DrawnEffect(
-            candidate.name,
-            "+".join(candidate.where),
-            candidate.depends_on,
-            candidate_parts(full.geometry_only.linear, candidate, hyper),
-            *found,
-            order,
-        )
+        about = candidate.name, "+".join(candidate.where), candidate.depends_on
+        parts = candidate_parts(full.geometry_only.linear, candidate, hyper)
+        yield DrawnEffect(*about, parts, model.coefficients[p], model.covariance[p, p], order)
     if full.random:
         coefficients, covariance = full.random_effects
         for group, p in zip(full.random, coefficients_of(full.random), strict=True):
