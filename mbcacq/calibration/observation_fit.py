@@ -235,21 +235,14 @@ def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState
     arm, balls = state.chain.rows - cell.robot.chain.rows, state.balls - cell.ball_centres
     errors = [arm.reshape(-1), moved, balls.reshape(-1), *fit.coefficients]
     std = iter(_standard_deviations(layout.names, T, covariance))
-    return [
-        Parameter(
-            name=name,
-            value=float(value[i]),
-            error=float(error[i]),
-            unit=block.units[i],
-            std=next(std) if block.free[i] else None,
-            status=_status(block, i, fit.options.kinematics),
-            reason=block.why.get(name, ""),
-            **_prior(block, i, fit.options.kinematics),
-        )
-        for block, value, error in zip(layout.blocks, values, errors, strict=True)
-        for i, name in enumerate(block.names)
-        if block.free[i] or name in block.why
-    ]
+    of_arm, out = fit.options.kinematics, []
+    for block, value, error in zip(layout.blocks, values, errors, strict=True):
+        for i, name in enumerate(block.names):
+            if block.free[i] or name in block.why:
+                about = {"status": _status(block, i, of_arm), "reason": block.why.get(name, ""), **_prior(block, i, of_arm)}
+                sigma = next(std) if block.free[i] else None
+                out.append(Parameter(name=name, value=float(value[i]), error=float(error[i]), unit=block.units[i], std=sigma, **about))
+    return out
 
 
 def _standard_deviations(names: Sequence[str], T_flange_scanner: np.ndarray, covariance: np.ndarray) -> list[float]:

@@ -46,7 +46,7 @@ class Suspect:
 Noticed = Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CheckVerdict:
     """What a check says.
 
@@ -140,19 +140,8 @@ def verdict_by(evidence: Evidence, check: PlannedCheck) -> CheckVerdict:
         suspects, since, between = _suspects_since(evidence, level, T)
     elif changed:
         suspects, since, between = _ranked(evidence.changes, factors, estimates), 0, (0, 0)
-    shown = process.levels[level if changed else null]
-    return CheckVerdict(
-        verdict=CHANGED if changed else AS_BEFORE,
-        log_e=log_e,
-        log_e_calibration=log_first,
-        log_threshold=threshold,
-        suspects=suspects,
-        since=since,
-        between=between,
-        noticed=noticed(evidence, null, T),
-        noise=shown.noise,
-        day=shown.day,
-    )
+    shown, seen, said = process.levels[level if changed else null], noticed(evidence, null, T), CHANGED if changed else AS_BEFORE
+    return CheckVerdict(said, log_e, log_first, threshold, suspects, since, between, noticed=seen, noise=shown.noise, day=shown.day)
 
 
 Estimate = tuple[np.ndarray, np.ndarray, float]

@@ -44,18 +44,9 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
     layout = published_layout(obs, options)
     at = constraint(where, options.pairs)
     found = identify(where, first, at, layout, options, measured)
-    stages = [
-        *stages,
-        *more,
-        {
-            "stage": "distance constraint (Eq. 13-24)",
-            "pairs_of_balls": options.pairs,
-            "distances": len(at.a),
-            "iterations": found.iterations,
-            "rms_distance_before_mm": found.rms_before,
-            "rms_distance_after_mm": found.rms_after,
-        },
-    ]
+    figures = {"pairs_of_balls": options.pairs, "distances": len(at.a), "iterations": found.iterations}
+    figures |= {"rms_distance_before_mm": found.rms_before, "rms_distance_after_mm": found.rms_after}
+    stages = [*stages, *more, {"stage": "distance constraint (Eq. 13-24)", **figures}]
     state = with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
     return _as_cell(obs, options, layout, state, first, found, stages)
 
