@@ -175,15 +175,9 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
         axis = {"name": "E1", "type": "prismatic", "carries": "arm", "direction": [1, 0, 0]}
         axis |= {"limits_mm": list(track), "speed_mm_s": TRACK_MM_S}
         robot |= {"external_axes": [axis], "home_external": [sum(track) / 2]}
-    return {
-        "format": "mbcacq-plan/1",
-        "name": f"{spec.name} with {artefact.name or artefact.id}",
-        "robot": robot,
-        "scanner": scanner["scanner"],
-        "positioner": {"driver": "manual"},
-        "hand_eye": scanner["hand_eye"],
-        "artefacts": [names[request.artefact]],
-    }
+    named = {"format": "mbcacq-plan/1", "name": f"{spec.name} with {artefact.name or artefact.id}", "robot": robot}
+    devices = {"scanner": scanner["scanner"], "positioner": {"driver": "manual"}, "hand_eye": scanner["hand_eye"]}
+    return {**named, **devices, "artefacts": [names[request.artefact]]}
 
 
 def _reach(spec: RobotSpec) -> tuple[float, np.ndarray]:

@@ -44,18 +44,11 @@ def planned_observations(
     """
     cell = replace(loaded.cell, stations=tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations))
     station, pose, balls = expected_centres(cell, poses)
-    blank = Observations(
-        cell=cell,
-        pose_id=np.array([p.number for p in poses]),
-        station=station,
-        q=np.array([p.q for p in poses]),
-        pose=pose,
-        ball=balls,
-        xyz=np.zeros((len(pose), 3)),
-        phase=np.array([p.phase for p in poses]),
-        time_s=None if starts is None else np.array(starts, dtype=float),
-        direction=None if transits is None else np.array(last_directions(loaded, poses, transits)),
-    )
+    numbers, q, phase = (np.array(x) for x in ([p.number for p in poses], [p.q for p in poses], [p.phase for p in poses]))
+    time_s = None if starts is None else np.array(starts, dtype=float)
+    direction = None if transits is None else np.array(last_directions(loaded, poses, transits))
+    nowhere = np.zeros((len(pose), 3))
+    blank = Observations(cell, numbers, station, q, pose, balls, nowhere, phase=phase, time_s=time_s, direction=direction)
     return replace(blank, xyz=forward_model.predict(blank, planned_state(loaded)).xyz)
 
 

@@ -23,7 +23,7 @@ VIEW_ROUNDS, MAX_ROUNDS = 4, 20
 MIN_POINTS = 8
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SphereFit:
     """centre (3,) mm; covariance (3, 3) mm^2; noise_mm: estimated sigma of a point; rms_mm and n_points: of the points used.
 
@@ -165,16 +165,8 @@ def _summary(centre, u, f, w, normal, disk) -> SphereFit:
     free[:3, 3] = free[3, :3] = u @ w
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
     radius_error = float(inverse[3] @ np.append(u @ (w * f), w @ f))
-    return SphereFit(
-        centre=centre,
-        covariance=covariance,
-        noise_mm=float(np.sqrt(variance)),
-        rms_mm=float(np.sqrt(f @ f / len(f))),
-        n_points=len(f),
-        coverage=_coverage(disk @ u),
-        radius_error=radius_error,
-        radius_sigma=float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
-    )
+    noise, rms, radius_sigma = (float(np.sqrt(x)) for x in (variance, f @ f / len(f), variance * max(inverse[3, 3], 0.0)))
+    return SphereFit(centre, covariance, noise, rms, len(f), _coverage(disk @ u), radius_error, radius_sigma=radius_sigma)
 
 
 def _across(view: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Identified:
     """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
     the noise of ``propagation``, zero in the directions ``unobservable`` (g, u), unit vectors; free: (5 n + 6,) bool."""
@@ -83,18 +83,8 @@ def identify(
     measured = measured or Measured(np.full(3, 0.02))
     covariance, noise = propagate(chain, hand_eye, obs, distances, J, residual, inverse=inverse, measured=measured)
     unobservable = scale[:, None] * vector[:, ~observable]
-    count = max(len(residual), 1)
-    return Identified(
-        chain=chain,
-        T_flange_scanner=hand_eye,
-        rms_before=np.sqrt(before / count),
-        rms_after=np.sqrt(cost / count),
-        covariance=covariance,
-        noise=noise,
-        unobservable=unobservable / np.linalg.norm(unobservable, axis=0),
-        free=free,
-        iterations=iterations,
-    )
+    unobservable, rms = unobservable / np.linalg.norm(unobservable, axis=0), np.sqrt(np.array([before, cost]) / max(len(residual), 1))
+    return Identified(chain, hand_eye, rms[0], rms[1], covariance, noise, unobservable, free=free, iterations=iterations)
 
 
 def _linearise(
