@@ -291,12 +291,8 @@ def _scored(
     r, J, W = r[used], J[used], W[used]
     WJ, Wr = W @ J, np.einsum("pij,pj->pi", W, r)
     D = [part[used] for part in parts]
-    gradient = np.array(
-        [
-            np.einsum("pi,pij,pj->", Wr, d, Wr) - np.einsum("pij,pji->", W, d) + np.einsum("ab,pia,pij,pjb->", A, WJ, d, WJ, optimize=True)
-            for d in D
-        ]
-    )
+    known = [np.einsum("ab,pia,pij,pjb->", A, WJ, d, WJ, optimize=True) - np.einsum("pij,pji->", W, d) for d in D]
+    gradient = np.array([np.einsum("pi,pij,pj->", Wr, d, Wr) + of_fit for d, of_fit in zip(D, known, strict=True)])
     information = np.array([[np.einsum("pij,pjk,pkl,pli->", W, a, W, b, optimize=True) for b in D] for a in D])
     free = (sizes > 0) | (gradient > 0)
     step = np.zeros(len(sizes))

@@ -60,11 +60,8 @@ def _own_layout(
     blocks = whole.blocks
     position = np.cumsum(np.concatenate([b.free for b in blocks])) - 1
     start = np.cumsum([0] + [len(b.names) for b in blocks])
-    mine = [
-        np.arange(start[0], start[1]),
-        np.arange(start[1] + 6 * r, start[1] + 6 * r + 6),
-        np.arange(start[2] + 3 * balls.start, start[2] + 3 * balls.stop),
-    ]
+    ends = (start[0], start[1]), (start[1] + 6 * r, start[1] + 6 * r + 6), (start[2] + 3 * balls.start, start[2] + 3 * balls.stop)
+    mine = [np.arange(*ends_of_one) for ends_of_one in ends]
     arm, mount, ball = own.blocks[:3]
     free = np.concatenate([b.free for b in blocks])
     prefix = f"hand_eye[{r + 1}]."

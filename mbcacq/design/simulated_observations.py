@@ -65,12 +65,9 @@ def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: N
     """What a random true cell with usual errors would record at the same poses: scanner noise and joint repeatability drawn anew."""
     state, n = planned_state(loaded), loaded.cell.robot.n
     errors, mounting = np.array(OPTIONS.parameter_errors), np.array(OPTIONS.mounting_errors)
-    truth = CellState(
-        state.chain.with_errors(errors * rng.standard_normal((n, 5))),
-        state.T_flange_scanner @ se3.exp(mounting * rng.standard_normal(6)),
-        state.T_base_station @ se3.exp(mounting * rng.standard_normal((len(state.T_base_station), 6))),
-        state.balls,
-    )
+    chain, mount = state.chain.with_errors(errors * rng.standard_normal((n, 5))), se3.exp(mounting * rng.standard_normal(6))
+    places = state.T_base_station @ se3.exp(mounting * rng.standard_normal((len(state.T_base_station), 6)))
+    truth = CellState(chain, state.T_flange_scanner @ mount, places, state.balls)
     stood = replace(observations, q=observations.q + noise.joint * rng.standard_normal(observations.q.shape))
     xyz = forward_model.predict(stood, truth).xyz
     return replace(observations, xyz=xyz + noise.point * rng.standard_normal(xyz.shape))

@@ -128,14 +128,9 @@ class EffectTerm(EveryKey):
         """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
         label, sizes = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.asarray(sigma, dtype=float)
         names, nothing = tuple(f"{label}[{j}]" for j in range(len(sizes))), np.zeros(len(sizes))
-        fields |= {
-            "where": where,
-            "depends_on": depends_on,
-            "parts": tuple(parts),
-            "ranges": learnt_ranges(here, parts),
-            "variant": variant,
-        }
-        return cls(name=UNKNOWN, names=names, units=units, coefficients=nothing, std=nothing, sigma=sizes, typical=sizes, **fields)
+        fields |= {"where": where, "depends_on": depends_on, "parts": tuple(parts), "variant": variant, "units": units}
+        fields |= {"ranges": learnt_ranges(here, parts), "sigma": sizes, "typical": sizes}
+        return cls(name=UNKNOWN, names=names, coefficients=nothing, std=nothing, **fields)
 
     @property
     def k(self) -> int:

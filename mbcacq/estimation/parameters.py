@@ -300,10 +300,7 @@ class Estimate:
         twists[stations] = station_step
         chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
         state = self.state
-        moved = CellState(
-            state.chain.with_errors(chain_step.reshape(-1, 5)),
-            state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6)),
-            state.T_base_station @ se3.exp(twists),
-            state.balls + ball_step.reshape(-1, 3),
-        )
+        chain, balls = state.chain.with_errors(chain_step.reshape(-1, 5)), state.balls + ball_step.reshape(-1, 3)
+        mount = state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6))
+        moved = CellState(chain, mount, state.T_base_station @ se3.exp(twists), balls)
         return Estimate(moved, tuple(c + s for c, s in zip(self.coefficients, term_steps, strict=True)))

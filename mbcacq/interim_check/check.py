@@ -108,16 +108,10 @@ class InterimCheck:
             Format 'mbcacq-check-result/1'; angles in rad.
         """
         times, since, between = [day.time for day in self.history.days], self.verdict.since, self.verdict.between
-        return {
-            "format": FORMAT,
-            **fields_as_json(self.verdict),
-            "checks": len(times),
-            "log_e_by_check": [day.log_e for day in self.history.days],
-            "since": None if since is None else times[since],
-            "since_between": None if between is None else [times[k] for k in between],
-            "before_first_check": since == 0,
-            "files": {"history": str(self.file), "recording": str(self.run)},
-        }
+        day, days = None if since is None else times[since], None if between is None else [times[k] for k in between]
+        said = {"format": FORMAT, **fields_as_json(self.verdict), "checks": len(times)}
+        said |= {"log_e_by_check": [day.log_e for day in self.history.days], "since": day, "since_between": days}
+        return said | {"before_first_check": since == 0, "files": {"history": str(self.file), "recording": str(self.run)}}
 
     def next_step(self, result: Path | str, plan: Path, dry_run: bool) -> tuple[str, str]:
         """What to do after this check, and the command for it.

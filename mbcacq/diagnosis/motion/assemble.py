@@ -171,12 +171,8 @@ def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
     if not pairs:
         return []
     names = "; ".join(" and ".join(pair.effects) for pair in pairs)
-    return [
-        Advice(
-            f"{names} explain these recordings equally well: record a further motion with other speeds, more reversals and a wider range",
-            (),
-        )
-    ]
+    further = "record a further motion with other speeds, more reversals and a wider range"
+    return [Advice(f"{names} explain these recordings equally well: {further}", ())]
 
 
 def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[Advice]:

@@ -200,18 +200,10 @@ def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
         notes = [f"{candidate.hyper.name} is not determined: the best fit is at the end of what was tried, {limits}"]
-    found = EffectFound(
-        name=candidate.name,
-        where=candidate.where,
-        depends_on=candidate.depends_on,
-        channel=model.group.name,
-        parameters=parameters,
-        p_value=judged.p_value,
-        held_out_gain=0.0,
-        alternatives=tuple(judged.alternatives),
-        steps=(_step(model.group, candidate, parameters, judged),) if len(judged.before) else (),
-        notes=tuple(notes),
-    )
+    steps = (_step(model.group, candidate, parameters, judged),) if len(judged.before) else ()
+    found = EffectFound(name=candidate.name, where=candidate.where, parameters=parameters, p_value=judged.p_value, held_out_gain=0.0)
+    found = replace(found, depends_on=candidate.depends_on, channel=model.group.name, steps=steps, notes=tuple(notes))
+    found = replace(found, alternatives=tuple(judged.alternatives))
     contributions = _delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c)
     return FittedEffect(candidate, found, judged.before - judged.after, contributions)
 
@@ -237,13 +229,8 @@ def _step(group: ChannelGroup, candidate: Candidate, parameters: Parameters, jud
 def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     """An effect with one form more."""
     one, more = first.found, other.found
-    found = replace(
-        one,
-        parameters=joined_parameters((one.parameters, more.parameters)),
-        p_value=min(one.p_value, more.p_value),
-        steps=(*one.steps, *more.steps),
-        notes=(*one.notes, *more.notes),
-    )
+    parameters, p_value = joined_parameters((one.parameters, more.parameters)), min(one.p_value, more.p_value)
+    found = replace(one, parameters=parameters, p_value=p_value, steps=(*one.steps, *more.steps), notes=(*one.notes, *more.notes))
     added = zip(first.contributions, other.contributions, strict=True)
     contributions = [[a + b for a, b in zip(p, q, strict=True)] for p, q in added]
     return FittedEffect(first.candidate, found, first.gain + other.gain, contributions)

@@ -206,17 +206,9 @@ def response_curve(linear: LinearProblem, residual: np.ndarray, effect: DrawnEff
     order = np.argsort(x, kind="stable")
     order = order[:: len(order) // MOST_POINTS + 1]
     what, unit_name, scale = _axis_label(part, effect.at)
-    return {
-        "effect": effect.name,
-        "at": effect.at,
-        "what": what,
-        "unit": unit_name,
-        "depends_on": effect.depends_on,
-        "x_label": x_label,
-        "x_unit": x_unit,
-        "x": _short(x[order]),
-        **{name: _short(scale * values[order]) for name, values in (("y", amount), ("std", std), ("seen", seen))},
-    }
+    of = {"effect": effect.name, "at": effect.at, "what": what, "unit": unit_name, "depends_on": effect.depends_on}
+    curves = {name: _short(scale * values[order]) for name, values in (("y", amount), ("std", std), ("seen", seen))}
+    return {**of, "x_label": x_label, "x_unit": x_unit, "x": _short(x[order]), **curves}
 
 
 def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
