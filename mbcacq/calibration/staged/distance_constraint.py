@@ -17,6 +17,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
+MOST_STEPS, SETTLED = 50, 1e-9  # steps, and the share of the cost that the last of them still gains
 UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unobservable
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
@@ -38,15 +39,7 @@ class Identified:
 
 
 def identify(
-    chain: Chain,
-    hand_eye: np.ndarray,
-    obs: Observations,
-    distances: PairDistances,
-    free: np.ndarray,
-    measured: Measured | None = None,
-    *,
-    limit: int = 50,
-    tolerance: float = 1e-9,
+    chain: Chain, hand_eye: np.ndarray, obs: Observations, distances: PairDistances, free: np.ndarray, measured: Measured | None = None
 ) -> Identified:
     """From the centres of ``obs`` and their certified ``distances``. free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 
@@ -57,7 +50,7 @@ def identify(
     residual, J = _linearise(chain, hand_eye, obs, distances, free)
     before = cost = float(residual @ residual)
     iterations = 0
-    while iterations < limit:
+    while iterations < MOST_STEPS:
         iterations += 1
         A = scale[:, None] * (J.T @ J) * scale
         b = scale * (J.T @ residual)
@@ -75,7 +68,7 @@ def identify(
             continue
         gained = cost - new
         (chain, hand_eye), residual, J, cost, damping = moved, trial, J_trial, new, max(damping / 10, 1e-12)
-        if gained < tolerance * cost:
+        if gained < SETTLED * cost:
             break
     value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
     observable = value > UNOBSERVABLE * value[-1]
