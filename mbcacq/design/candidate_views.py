@@ -124,4 +124,4 @@ class ViewChoice:
 
     def _pose(self, number: int, station: str, q: np.ndarray, balls: tuple[int, ...]) -> PlannedPose:
         artefact, exposures = self._loaded.cell.station(station).artefact, self._loaded.plan.exposures
-        return PlannedPose(number, 0, "design", "position", station, artefact, q, balls, exposures, line=0)
+        return PlannedPose(number, 0, "design", "position", station, artefact, q, balls=balls, exposures=exposures, line=0)

@@ -149,7 +149,7 @@ def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
         start = np.array([1.0 / stiffness, _first(old.damping) / stiffness])
     scale = np.array([max(start[0], 1e-4 / max(torque, 1.0)), 5 * GEAR_DAMPING_S])
     step, lower = np.array([RELATIVE_STEP, 0.05]) * scale, np.array([LEAST_COMPLIANCE, 0.0])
-    return Block("gear", joint, start, step, scale, apply, values, lower, prepare=prepare, absent=old is None)
+    return Block("gear", joint, start, step, scale, apply, values, lower=lower, prepare=prepare, absent=old is None)
 
 
 def sensor_delay(arm: MujocoArm, channel: str) -> Block:
@@ -208,7 +208,7 @@ def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: f
     origin = back[rows, columns]
     origin[diagonal] = np.log(origin[diagonal])
     step, spread, first = (np.full(10, value) for value in (RELATIVE_STEP, sigma, 0.0))
-    return Block("inertia", body, origin, step, spread, apply, values, -LARGEST_LOG, LARGEST_LOG, first=first)
+    return Block("inertia", body, origin, step, spread, apply, values, lower=-LARGEST_LOG, upper=LARGEST_LOG, first=first)
 
 
 def pseudo_inertia(spec: Any, body: str) -> np.ndarray:

@@ -28,7 +28,7 @@ class Dependence:
 
 
 def unnamed_effect(where: tuple[str, ...], on: str, p_value: float, gain: float, channel: str, shape: ResponseShape | None) -> EffectFound:
-    """What a channel shows that has no name."""
+    """What a channel shows without a name for it."""
     of = EffectFound(name=UNKNOWN, where=where, depends_on=on, parameters={}, p_value=p_value, held_out_gain=gain)
     return replace(of, channel=channel, shape=shape)
 
