@@ -105,8 +105,10 @@ def arm_improvement(
         new = bool(elsewhere.sum() >= FEWEST)
         counted = elsewhere if new else counted
     noise, pose = float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))), tuple(obs.pose_id[counted].tolist())
-    missed = [MissedBy.of(one[counted]) for one in (before, after)]
-    each = [tuple(one[counted].tolist()) for one in (before, after)]
+    missed, each = (
+        (MissedBy.of(before[counted]), MissedBy.of(after[counted])),
+        (tuple(before[counted].tolist()), tuple(after[counted].tolist())),
+    )
     return ArmImprovement(*missed, noise, int(counted.sum()), new, pose, *each)
 
 

@@ -99,7 +99,7 @@ def _report(upright: float, unit: str, stated: Callable[[float, float], Paramete
         return {
             f"A2.preload_{unit}": stated(c[0], std[0]),
             f"A2.stretched_{unit}": stated(c[1], std[1]),
-            "A2.zero_deg": angle(upright + c[2] / first, np.sqrt(max(slope @ v @ slope, 0.0))),
+            "A2.zero_deg": angle(upright + c[2] / first, float(np.sqrt(max(slope @ v @ slope, 0.0)))),
         }
 
     return report
