@@ -23,7 +23,7 @@ from mbcacq.diagnosis.result import Proposal
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import summed
 from mbcacq.diagnosis.validation.folds import split
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
+from mbcacq.diagnosis.validation.predictive_score import HeldOutPrediction, PredictiveScore
 from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
@@ -70,7 +70,7 @@ class Setting:
         if formula is not None:
             effects.append(Member(candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
         model, noise = EffectSet(tuple(effects)), self.point.noise
-        return [held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts]
+        return [HeldOutPrediction(self.linear, train, test, model, random, noise).score() for train, test in self.parts]
 
 
 def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Sequence[PredictiveScore]) -> bool:
