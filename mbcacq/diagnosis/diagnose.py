@@ -1,4 +1,4 @@
-"""``diagnose``: observations in, verdict out. ``_diagnose`` is the method on one page, in the order of docs/explanation/method.md."""
+"""``diagnose``: observations in, verdict out; the method on one page, in the order of docs/explanation/method.md."""
 
 from __future__ import annotations
 
