@@ -90,7 +90,7 @@ def diagnose(
         if formulas:
             proposals, tried = propose(problem, full, result.effects, progress)
             result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
-        dependences = tuple(one.entry for one in variations)
+        dependences = tuple(entry for entry, _ in variations)
         noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *left_out, *notes)
         result = replace(result, notes=noted, noise_depends_on=dependences)
         if not refitting.begun:
