@@ -153,10 +153,8 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
         yield KindOfChange("station", obs.cell.stations[s].id, twist, units, at_s, among, 0.25 / len(obs.cell.stations))
     if at.lineariser.rows.depth > 3:
         ball, count = unit("ball", 0, 3), len(obs.cell.ball_ids)
-        for k in range(count):
-            yield KindOfChange(
-                "ball", str(obs.cell.ball_ids[k]), names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count
-            )
+        for k, name in enumerate(map(str, obs.cell.ball_ids)):
+            yield KindOfChange("ball", name, names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count)
 
 
 @dataclass(frozen=True)

@@ -226,10 +226,8 @@ def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotio
     _, delay, found = best
     clock = SensorClock(float(seen.time_s.mean()), delay, 0.0, np.zeros((2, 2)))
     nothing = np.zeros((len(seen.circles), 6))
-    used, sphere = np.ones(len(nothing), dtype=bool), found.sphere[None]
-    return ProfilesInMotion(
-        found.T_hand_eye, sphere, clock, np.eye(11), 0.0, used, nothing[:, :3], velocity=nothing, passing=nothing[:, :3]
-    )
+    used, place = np.ones(len(nothing), dtype=bool), found.sphere[None]
+    return ProfilesInMotion(found.T_hand_eye, place, clock, np.eye(11), 0.0, used, nothing[:, :3], velocity=nothing, passing=nothing[:, :3])
 
 
 def _delays(motion: FlangeMotion, t: np.ndarray) -> np.ndarray:

@@ -292,12 +292,10 @@ class Estimate:
     state: CellState
     coefficients: tuple[np.ndarray, ...] = ()
 
-    def moved(
-        self, layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray, stations: np.ndarray | slice = slice(None)
-    ) -> Estimate:
+    def moved(self, layout: ParameterLayout, step: np.ndarray, moves: np.ndarray, stations: np.ndarray | slice = slice(None)) -> Estimate:
         """After a step (g,) of the free parameters and local twists (S', 6) of some stations, of all if not said."""
         twists = np.zeros((len(self.state.T_base_station), 6))
-        twists[stations] = station_step
+        twists[stations] = moves
         chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
         state = self.state
         chain, balls = state.chain.with_errors(chain_step.reshape(-1, 5)), state.balls + ball_step.reshape(-1, 3)

@@ -49,8 +49,6 @@ def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[Register
     kept = obs.select(here)
     station, pose = np.array([number[s] for s in kept.station.tolist()], dtype=int), (np.cumsum(here) - 1)[poses[order]]
     extra = {name: values for name, values in kept.extra.items() if name.startswith("poses.")}
-    seen = replace(
-        kept, cell=cell, station=station, pose=pose, ball=np.zeros(len(poses), dtype=int), n_points=None, rms_mm=None, extra=extra
-    )
+    seen = replace(kept, cell=cell, station=station, pose=pose, ball=np.zeros(len(poses), dtype=int), extra=extra)
     shifts = np.concatenate(shared)[order] if total else None
-    return replace(seen, xyz=T[:, :3, 3], rotation=T[:, :3, :3], covariance=covariance, shared=shifts)
+    return replace(seen, xyz=T[:, :3, 3], rotation=T[:, :3, :3], covariance=covariance, shared=shifts, n_points=None, rms_mm=None)

@@ -138,9 +138,7 @@ class _Work:
         distance += 1e-300
         offset /= distance[:, None]
         if noise is None:
-            median = [
-                np.partition(row, len(row) // 2)[len(row) // 2] if len(row) else 0.0 for row in (size[j][use[j]] for j in range(len(size)))
-            ]
+            median = [np.partition(r, len(r) // 2)[len(r) // 2] if len(r) else 0.0 for r in (size[j][use[j]] for j in range(len(size)))]
             noise = np.clip(1.4826 * np.array(median), NOISE_FLOOR_MM, ceiling)
         np.divide(f, (TUKEY * noise)[:, None], out=w)
         w *= w

@@ -192,9 +192,7 @@ class PoseSearch(EvidenceSearch):
         while True:
             present, node = [m.candidate for m in rest], best.point.conditioned(rest)
             further = [c for c in carriers if self.allowed(c, present)]
-            log, member = max(
-                (self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda one: one[0], default=(0.0, None)
-            )
+            log, member = max((self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda o: o[0], default=(0.0, None))
             if log <= 0 or member is None:
                 break
             rest = (*rest, member)

@@ -186,9 +186,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
         where=tuple(dict.fromkeys(p.location.name for p in formula.placed)),
         depends_on=formula.placed[0].term.covariates[0],
         parts=parts,
-        names=tuple(
-            f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each
-        ),
+        names=tuple(f"{part.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for part, text, unit in each),
         units=tuple(unit for _, _, unit in each),
         coefficients=values,
         std=np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),

@@ -306,9 +306,7 @@ def motion_series(
             kept = fit.residual_before if (fit.group.name, at) in refused else fit.residual_after
             for k, (trajectory, run) in enumerate(zip(trajectories, runs, strict=True)):
                 measured = shown[k][:, j]
-                before, after = (
-                    scale * np.where(fit.used[j][k], measured - residual[j][k], np.nan) for residual in (fit.residual_before, kept)
-                )
+                before, after = (scale * np.where(fit.used[j][k], measured - left[j][k], np.nan) for left in (fit.residual_before, kept))
                 time = float(trajectory.time_s[0]) + run.step_s * np.arange(len(measured))
                 number = names.index(trajectory.name)
                 found.append(ChannelSeries(fit.group.name, at, unit, number, time, measured=scale * measured, before=before, after=after))

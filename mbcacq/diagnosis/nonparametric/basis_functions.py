@@ -60,9 +60,7 @@ class Location:
     def described(self, rows: Sequence[int], columns: Sequence[Column]) -> list[DescribedPart]:
         """Some components by functions of the pose, or of the centre, component by component."""
         moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
-        return [
-            DescribedPart(*key, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for key, mix in moved if any(mix)
-        ]
+        return [DescribedPart(*k, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for k, mix in moved if any(mix)]
 
 
 def components(place: str, index: int = 0, count: int = 6) -> tuple[tuple[str, int, int], ...]:

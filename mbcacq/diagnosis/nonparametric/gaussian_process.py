@@ -96,9 +96,7 @@ def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     attitude = basis_functions.varying(f"gravity_direction_{s.frame_tags[location.frame]}", down, OPTIONS.varies)
     out += [(gravity, [name], 1.0) for name in attitude]
     out += [(gravity, attitude, 1.0)] if len(attitude) > 1 else []
-    every = [
-        Process(on, tuple(walls(s, name, unit * length) for name in names), length, unit) for on, names, unit in out for length in LENGTHS
-    ]
+    every = [Process(on, tuple(walls(s, name, unit * over) for name in names), over, unit) for on, names, unit in out for over in LENGTHS]
     return [one for one in every if one.is_represented]
 
 

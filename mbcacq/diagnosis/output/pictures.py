@@ -72,9 +72,7 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain({"format": FORMAT, "map": map_, "centres": data.centres, "causes": data.causes, "curves": data.curves})
 
 
-def plot_data(
-    setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray
-) -> PlotData:
+def plot_data(setup: DiagnosisProblem, full: ModelFit, entries: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument, of the geometry alone and of the model."""
     context, linear = setup.context, full.geometry_only.linear
     obs = linear.obs
@@ -95,7 +93,7 @@ def plot_data(
         "of": len(kept),
     }
     causes = []
-    for name in dict.fromkeys(m.depends_on for m in mismatch):
+    for name in dict.fromkeys(m.depends_on for m in entries):
         if (values := at_centres(context, name)) is not None:
             label, unit, factor = axis_of(name)
             causes.append({"name": name, "label": label, "unit": unit, "values": _short(factor * values[drawn])})

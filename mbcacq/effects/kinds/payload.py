@@ -104,9 +104,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     assert robot is not None, "torques by unit inertial parameters are of an arm"
     load = (("mass_kg", 1.0), *((f"moment_{axis}_kg_mm", 1e3) for axis in "xyz"))
     sigma = tuple(tool_sigma(robot))
-    rows = MotionRows(
-        group.joints, lambda run, joint, _: available(run.payload)[:, joint], sigma, usual=True, tested=4, load_parameters=load
-    )
+    rows = MotionRows(group.joints, lambda run, j, _: available(run.payload)[:, j], sigma, usual=True, tested=4, load_parameters=load)
     mass, com, to_mm = float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float), np.array([1.0, 1e3, 1e3, 1e3])
 
     def report(c, v, _):
