@@ -80,7 +80,7 @@ def candidates(context: Context) -> list[Candidate]:
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
     rarity = RARE if light and not robot.balancer else 1.0
     least = LEAST_OF_HEAVY if robot.mass.sum() >= HEAVY_KG else 0.0
-    report = _report(upright, "deg", angle)
+    report = _report(upright, "deg", angle, 1e-30)
     return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=rarity, usual=usual(robot), least_size=least)]
 
 
@@ -91,10 +91,10 @@ def _law(upright: float, ratio: Any) -> tuple[Column, ...]:
     return (Product(1.0, (lever,)),), growing, (Product(0.5 / STEP, (later,)), Product(-0.5 / STEP, (earlier,)))
 
 
-def _report(upright: float, unit: str, stated: Callable[[float, float], ParameterEstimate]) -> Report:
+def _report(upright: float, unit: str, stated: Callable[[float, float], ParameterEstimate], least: float = 0.0) -> Report:
     def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
         """The shift of the upright angle is the third coefficient over the first."""
-        first, std = c[0] if abs(c[0]) > 1e-30 else 1e-30, standard_deviations(v)
+        first, std = c[0] if abs(c[0]) > least else least, standard_deviations(v)
         slope = np.array([-c[2] / first, 0.0, 1.0]) / first
         return {
             f"A2.preload_{unit}": stated(c[0], std[0]),
