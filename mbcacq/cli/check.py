@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, forget_failure, on_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.signals import end_in_order_on_signals
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.quantities import capitalised
 
 if TYPE_CHECKING:
@@ -39,9 +42,6 @@ def command(
       mbcacq check runs/latest kuka --dry-run
       mbcacq check calibrated/result.json my-cell.yaml --arm
     """
-    import mbcacq
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.cli.step_progress import StepProgress
     from mbcacq.interim_check.check import CheckSettings
 
     end_in_order_on_signals()

@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from textwrap import TextWrapper
 from typing import IO, TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 # Control characters but tab and line feed; marks that turn the direction of text; halves of characters, of undecodable file names.
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -86,6 +87,16 @@ def console(**options: Any) -> Console:
     if shown.is_terminal:
         shown.soft_wrap = False  # long lines are broken between words, which a terminal would break anywhere
     return shown
+
+
+def titled_table(title: str, *headings: str, left: Collection[str] = (), no_wrap: bool = False) -> Table:
+    """A table with its title at the left. Columns of ``left`` hold words, the others numbers, which ``no_wrap`` keeps on one line."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=no_wrap and heading not in left)
+    return table
 
 
 def _encodable(text: str, stream: IO[str]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.recording.run_folder.progress import Progress, repair_and_read_progress
 from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.load import load_observations
-
-if TYPE_CHECKING:
-    from mbcacq.recording.run_folder.progress import Progress
 
 
 def new_progress() -> Progress:
