@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, ParameterLayout, build
 from mbcacq.estimation.pose_information import Weights
@@ -25,12 +26,8 @@ def share_of(
     centres = np.isin(every.pose, poses)
     stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in parts], r))
     balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in parts], r))
-    state = replace(
-        whole.state,
-        T_flange_scanner=whole.state.T_flange_scanner[r],
-        T_base_station=whole.state.T_base_station[stations],
-        balls=whole.state.balls[balls],
-    )
+    cell = whole.state
+    state = CellState(cell.chain, cell.T_flange_scanner[r], cell.T_base_station[stations], cell.balls[balls])
     kept = () if whole.effects is None else tuple(t.names for t in whole.effects.terms)
     layout, index, coefficients = _own_layout(together, whole.layout, build(obs, replace(options, hold=())), r, balls, kept)
     weights = Weights(together.weights.centre[centres], together.weights.pose[poses])

@@ -326,12 +326,8 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(
-                self.obs,
-                CalibrationOptions(
-                    kinematics=not self.of_flange_poses, refuse=False, discrepancy=False, random_links=False, phases=all_phases(self.obs)
-                ),
-            )
+            options = CalibrationOptions(kinematics=not self.of_flange_poses, refuse=False, discrepancy=False, random_links=False)
+            own = calibrate(self.obs, replace(options, phases=all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(own, used)

@@ -55,11 +55,8 @@ class SphereOptions:
         if noise_mm is None:
             return cls()
         noise, usual = max(noise_mm), cls()
-        return cls(
-            max_noise=max(usual.max_noise, ROUGHNESS * noise),
-            centre_tolerance=max(usual.centre_tolerance, CREDIBLE_SIGMAS * noise),
-            centre_sigma=max(usual.centre_sigma, noise),
-        )
+        tolerance, most = max(usual.centre_tolerance, CREDIBLE_SIGMAS * noise), max(usual.max_noise, ROUGHNESS * noise)
+        return cls(max_noise=most, centre_tolerance=tolerance, centre_sigma=max(usual.centre_sigma, noise))
 
 
 @dataclass(frozen=True, kw_only=True)

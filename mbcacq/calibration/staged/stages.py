@@ -42,12 +42,8 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
     adjusted = replace(obs, xyz=xyz)
     moved = np.sqrt(np.mean(np.sum((xyz - obs.xyz) ** 2, axis=1)))
     largest = max(curves, key=lambda c: c[0])[1] if curves else None
-    stage = {
-        "stage": "angle adjustment (Eq. 8-12)",
-        "rms_correction_mm": float(moved),
-        "rms_shape_before_mm": shape_error(obs),
-        "rms_shape_after_mm": shape_error(adjusted),
-    }
+    stage = {"stage": "angle adjustment (Eq. 8-12)", "rms_correction_mm": float(moved)}
+    stage |= {"rms_shape_before_mm": shape_error(obs), "rms_shape_after_mm": shape_error(adjusted)}
     if largest is not None:
         curve = {"ridge": largest.ridge, "misfit_rad": largest.misfit, "size_mm": largest.size}
         stage["l_curve"] = {**{name: values.tolist() for name, values in curve.items()}, "corner": largest.corner}

@@ -31,7 +31,7 @@ MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect
 TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Judged:
     """What the last comparison says of a selected effect. p_value: one over its Bayes factor in its set. before, after: held-out mean
     square (J,) without it and with it. alternatives: what else could stand in its place."""
@@ -165,12 +165,9 @@ class EffectSelection:
             member = forms[effect.candidate.form]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
-            self.judged[effect.candidate.form] = Judged(
-                p_value=float(np.exp(-max(lost, 0.0))),
-                before=self._mean_square_without(effect, weights, normals),
-                after=after,
-                alternatives=[Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()],
-            )
+            others = [Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()]
+            p_value, before = float(np.exp(-max(lost, 0.0))), self._mean_square_without(effect, weights, normals)
+            self.judged[effect.candidate.form] = Judged(p_value, before, after, others)
 
     def _mean_square_without(self, effect: Member, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         model, chosen = self.model, self.model.chosen(without=effect)

@@ -108,26 +108,18 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     spread = _covariance(model, weights, chosen, x, selection.pool)
     n = np.maximum(store.count.sum(axis=0), 1.0)
     found = bodies(model, chosen)
+    effects = _averaged(_effects(model, selection.judged, x, spread), selection.sets)
+    residuals, used = (residual_before, _residuals(model, chosen, x)), [[use[:, j] for use in model.group.use] for j in joints]
+    held_out = selection.start, model.held_out_mean_square(chosen, model.fold_normals(weights))
+    links = [[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints]
+    trained, error = (train_before / n, store.errors(chosen, x) / n), load_error(model, weights)
     result = MotionFit(
-        group=model.group,
-        effects=_averaged(_effects(model, selection.judged, x, spread), selection.sets),
-        residual_before=residual_before,
-        residual_after=_residuals(model, chosen, x),
-        used=[[use[:, j] for use in model.group.use] for j in joints],
-        held_out_before=selection.start,
-        held_out_after=model.held_out_mean_square(chosen, model.fold_normals(weights)),
-        train_before=train_before / n,
-        train_after=store.errors(chosen, x) / n,
-        floor=model.floor,
-        split=store.split,
-        links=[[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints],
-        load_error=load_error(model, weights),
-        sets=selection.sets,
-        inertial=None if found is None else found.parameters(x),
-        load_alternatives=load_alternatives(model, selection.pool) if store.whole else [],
+        model.group, effects, *residuals, used, *held_out, *trained, model.floor, split=store.split, links=links, load_error=error
     )
+    alternatives = load_alternatives(model, selection.pool) if store.whole else []
     selection.pool.forget_step()
-    return result
+    inertial = None if found is None else found.parameters(x)
+    return replace(result, sets=selection.sets, inertial=inertial, load_alternatives=alternatives)
 
 
 def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
