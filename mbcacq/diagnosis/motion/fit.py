@@ -110,16 +110,14 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     found = bodies(model, chosen)
     effects = _averaged(_effects(model, selection.judged, x, spread), selection.sets)
     residuals, used = (residual_before, _residuals(model, chosen, x)), [[use[:, j] for use in model.group.use] for j in joints]
-    held_out = selection.start, model.held_out_mean_square(chosen, model.fold_normals(weights))
+    held = selection.start, model.held_out_mean_square(chosen, model.fold_normals(weights))
     links = [[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints]
     trained, error = (train_before / n, store.errors(chosen, x) / n), load_error(model, weights)
-    result = MotionFit(
-        model.group, effects, *residuals, used, *held_out, *trained, model.floor, split=store.split, links=links, load_error=error
-    )
+    fit = MotionFit(model.group, effects, *residuals, used, *held, *trained, model.floor, split=store.split, links=links, load_error=error)
     alternatives = load_alternatives(model, selection.pool) if store.whole else []
     selection.pool.forget_step()
     inertial = None if found is None else found.parameters(x)
-    return replace(result, sets=selection.sets, inertial=inertial, load_alternatives=alternatives)
+    return replace(fit, sets=selection.sets, inertial=inertial, load_alternatives=alternatives)
 
 
 def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
