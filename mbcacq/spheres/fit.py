@@ -78,7 +78,7 @@ def sphere_fits(
     if view is None:  # towards the scanner the caps bulge
         centres, gate, state = _iterated(work, centres, radii, gate, ceiling, None, -1.0)
         bulge = np.sum(np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2, axis=0)
-        view = bulge / (np.linalg.norm(bulge) or 1.0)
+        view = np.asarray(bulge / (np.linalg.norm(bulge) or 1.0))
     centres, _, state = _iterated(work, centres, radii, gate, ceiling, view, np.cos(max_incidence))
     fits, disk = [], _across(view) / np.sin(max_incidence)
     for j in range(len(radii)):

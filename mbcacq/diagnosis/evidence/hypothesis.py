@@ -45,15 +45,18 @@ class EvidencePoint(Protocol):
 
     def with_effects(self, extended: Any) -> NormalSystem:
         """The normal equations of these effects."""
+        ...
 
     def conditioned(self, members: Sequence[Member]) -> Any:
         """The problem with these effects, each at its most probable size, in place; further candidates are scored in it."""
 
     def solved(self, members: Sequence[Member]) -> EffectSet:
         """These effects with the posterior of their coefficients, each at its most probable size, everything else integrated out."""
+        ...
 
     def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[Self, np.ndarray]:
         """The point after a step of scoring, and the step of the logarithms."""
+        ...
 
     def forget(self) -> None:
         """Give back the memory of what is computed again where it is asked for."""
