@@ -168,10 +168,9 @@ uncertainty.
 **Beyond the third** an unmodelled function of one angle ends: what geometry and named effects make of the recording without it holds there.
 Its covariance goes on, and the change counts as an uncertainty. Functions of a load go on; those of two angles are held.
 
-**The price.** As smooth processes that go on, functions were worse in 6 of these cells, by up to 2.67 times, and left 0.64 of the geometry's
-rms in the median of 30 cells; ended, 3 are worse, by up to 1.26 times, and 0.92 is left. Their size beyond the third over its uncertainty
-(1.2 to 2.0 where a bump ended, 0.3 to 2.2 elsewhere) does not tell which go on. The choice was made in view of these cells; the 70 others
-were not run again.
+**The price.** As smooth processes that go on, functions were worse in 6 of these cells, by up to 2.67 times, and left 0.64 of the
+geometry's rms in the median of 30; ended, 3 are worse, by up to 1.26 times, and 0.92 is left. The choice was made in view of these cells;
+the 70 others were not run again.
 
 **What is worse.** In 5143 and 5176 nothing was found; smooth errors of a plain calibration go on. In 5198 the named effect is wrong
 without the function beside it."""

@@ -10,8 +10,7 @@ from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import AsJson
 from mbcacq.quantities import in_degrees
 
-
-UNDETERMINED = 1e3  # mm, rad or ppm, standard deviation of a component that poses say nothing of: a bar's rotation about itself
+UNDETERMINED = 1e6  # mm, rad or ppm, standard deviation of a component that poses say nothing of: a bar's rotation about itself
 
 
 @dataclass(frozen=True)
