@@ -37,20 +37,20 @@ WRITERS = {
 }
 
 
-@pytest.mark.parametrize("exists", [True, False])
-def test_nothing_is_written_through_twelve_links(a_run, tmp_path, exists):
+@pytest.mark.parametrize("link", ["to a file", "to nothing", "hard"])
+def test_nothing_is_written_through_twelve_links(a_run, tmp_path, link):
     with (a_run / "run.rrd").open("r+b") as torn:
         torn.truncate(a_run.joinpath("run.rrd").stat().st_size - 100)
     home = tmp_path / "home"
     home.mkdir()
     for name in LINKS:
         path, target = a_run / name, home / name.lstrip(".")
-        if exists and name == "scans":
+        if link != "to nothing" and name == "scans":
             target.mkdir()
-        elif exists:
+        elif link != "to nothing":
             target.write_bytes(path.read_bytes() if path.is_file() else b"mine\n")
         path.unlink(missing_ok=True)
-        path.symlink_to(target)
+        (path.hardlink_to if link == "hard" and name != "scans" else path.symlink_to)(target)
     before = {path.name: path.is_dir() or path.read_bytes() for path in home.rglob("*")}
     for name, write in WRITERS.items():
         try:
