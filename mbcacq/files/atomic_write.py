@@ -73,7 +73,7 @@ def inside_folder(path: Path | str, folder: Path | None = None) -> Path:
 
 
 def own_file(path: Path | str) -> Path:
-    """``inside_folder`` for a file that is appended to: one with a further name (a hard link) becomes a copy, as the other would grow too."""
+    """``inside_folder`` for a file that is appended to: one with a further name (a hard link) becomes a copy; the other would grow."""
     target = inside_folder(path)
     if target.is_file() and target.stat().st_nlink > 1:
         write_file(target, target.read_bytes())

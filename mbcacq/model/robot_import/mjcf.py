@@ -134,7 +134,7 @@ def _compiled(path: Path) -> _Model:
 
 
 def _refuse_senseless(path: Path, mujoco: Any, spec: Any) -> None:
-    """Raises ConfigError for limits in the wrong order, which MuJoCo takes for none, and for a mass below zero, which it takes for unknown."""
+    """Raises ConfigError for limits in the wrong order, which MuJoCo takes for none, and for a mass below zero, which is unknown to it."""
     for joint in spec.joints:
         low, high = joint.range
         if (low or high) and not low < high and joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE:
