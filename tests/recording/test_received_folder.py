@@ -72,6 +72,12 @@ def test_a_link_out_of_the_folder_is_named_with_where_it_leads(tmp_path, name):
     assert not list(elsewhere.iterdir())
 
 
+def test_a_recording_that_is_a_folder_is_none(tmp_path):
+    (tmp_path / "run.rrd").mkdir()
+    with pytest.raises(RecordingError, match="it is no file, or a link that leads to none"):
+        recover(tmp_path)
+
+
 def test_a_list_of_a_stopped_set_renames_nothing_outside(tmp_path):
     folder, home = tmp_path / "run", tmp_path / "home"
     folder.mkdir()

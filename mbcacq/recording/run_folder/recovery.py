@@ -81,6 +81,8 @@ def _made_readable(path: Path) -> list[Recovered]:
 
 
 def _recover_file(source: Path) -> Recovered:
+    if not source.is_file():  # rerun's program would read a folder without end
+        raise NothingRecovered(f"{_nothing([source])}: it is no file, or a link that leads to none")
     if source.stat().st_size == 0:
         raise NothingRecovered(f"{_nothing([source])}: it is empty, nothing was ever written into it")
     if _verified(source):
