@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import ruckig
+from scipy.interpolate import CubicSpline
 
 from mbcacq_fakes.dynamics.timed_arm import TimedArm
 
@@ -13,6 +15,21 @@ JERK = 500.0  # rad/s^3
 BRAKE = 8.0  # rad/s^2
 LED_RAD_S = 1.0  # by a person, or by its own program
 SLIDER_PER_S = 4.0  # how fast the speed follows the slider: from stop to full in a quarter of a second
+
+
+class AlongPath:
+    """A motion as of ruckig, along a path through joint angles q (k, 6) at lengths (k,)."""
+
+    def __init__(self, length: np.ndarray, q: np.ndarray, speed: float, acceleration: float) -> None:
+        wanted, self._along, self._path = ruckig.InputParameter(1), ruckig.Trajectory(1), CubicSpline(length, q)
+        wanted.target_position, wanted.max_velocity, wanted.max_acceleration = [float(length[-1])], [speed], [acceleration]
+        wanted.max_jerk = [JERK]
+        ruckig.Ruckig(1).calculate(wanted, self._along)
+        self.duration = self._along.duration
+
+    def at_time(self, seconds: float) -> tuple[np.ndarray, np.ndarray, None]:
+        (at,), (speed,), _ = self._along.at_time(seconds)
+        return self._path(at), speed * self._path(at, 1), None
 
 
 class ProgrammedArm(TimedArm):
@@ -36,6 +53,11 @@ class ProgrammedArm(TimedArm):
         """A person brings it to ``target`` (6,) rad."""
         self.halt()
         self.go(target, LED_RAD_S, BRAKE, JERK)
+
+    def go_along(self, length: np.ndarray, q: np.ndarray, speed: float, acceleration: float) -> None:
+        """Begin a motion through joint angles q (k, 6) rad at lengths (k,) of a path, with speed and acceleration along it."""
+        self._motion, self._since, self.still_s = AlongPath(length, q, speed, acceleration), 0.0, 0.0
+        self.target = q[-1].copy()
 
     def halt(self) -> None:
         """All axes to rest."""

@@ -12,12 +12,14 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation, Slerp
 
 from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
+from mbcacq_fakes.protocols.rtde.uploaded import UploadedProgram
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
 from mbcacq_fakes.protocols.stall import HANGING_S, STALL_S
 from mbcacq_fakes.protocols.tcp_server import TcpServer
@@ -33,6 +35,7 @@ UR10E = tuple(
     (1.0, 0.0, d, a, alpha)
     for d, a, alpha in ((180.7, 0, 90), (0, -612.7, 0), (0, -571.55, 0), (174.15, 0, 90), (119.85, 0, -90), (116.55, 0, 0))
 )
+LINE_POINTS = 33
 GRAVITY = 9.82  # m/s^2, as the controller assumes it
 FAULTS = {
     "safety_bits": "safety_status_bits, such as 4 for a protective stop; the arm halts while it is not 1",
@@ -78,6 +81,7 @@ class FakeUrController(TcpServer):
         self._led: np.ndarray | None = None
         self.outputs = 0  # bits of the standard digital outputs
         self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
+        self._uploaded: UploadedProgram | None = None
         self.led = False  # somebody moves it: a client that only listens need not be served by the clock
 
     def lead(self, target: np.ndarray) -> None:
@@ -106,6 +110,11 @@ class FakeUrController(TcpServer):
     def halt(self) -> None:
         with self.lock:
             self.arm.halt()
+
+    def not_heard_for(self, seconds: float) -> None:
+        """The client that commands is silent; mbcacq_ur.script has a watchdog, the program of ur_rtde none."""
+        if seconds > self.watchdog_s and self._uploaded is None:
+            self.halt()
 
     @property
     def closing(self) -> bool:
@@ -137,6 +146,9 @@ class FakeUrController(TcpServer):
         """A client wrote these inputs."""
         self.inputs |= written
         registers = self.inputs
+        if self._uploaded is not None and "input_int_register_0" in written:
+            self._uploaded.obey(registers)
+            return
         if written.get("speed_slider_mask"):
             self._active["speed_fraction"] = float(np.clip(registers.get("speed_slider_fraction", 1.0), 0.0, 1.0))
         mask = registers.get("standard_digital_output_mask", 0)
@@ -154,10 +166,50 @@ class FakeUrController(TcpServer):
         if self.on_output is not None:
             self.on_output(number, value)
 
-    def tcp_pose(self) -> list[float]:
-        """x, y, z (m) and rotation vector (rad) of the flange, as the TCP is not set."""
-        x, y, z, *abc = self._kinematics.pose(np.degrees(self.arm.q).tolist())
+    @property
+    def playing(self) -> bool:
+        return self._active["runtime_state"] == 2
+
+    def run_uploaded(self) -> None:
+        """The program of ur_rtde's control interface begins."""
+        with self.lock:
+            self._uploaded, self._active["runtime_state"], self._active["program"] = UploadedProgram(self), 2, 0
+
+    def end_program(self) -> None:
+        """Whichever runs; the arm halts."""
+        self._uploaded, self._active["runtime_state"] = None, 1
+
+    def flange_pose(self, q: np.ndarray) -> list[float]:
+        """x, y, z (m) and rotation vector (rad) of the flange, q (6,) rad."""
+        x, y, z, *abc = self._kinematics.pose(np.degrees(q).tolist())
         return [1e-3 * x, 1e-3 * y, 1e-3 * z, *Rotation.from_euler("ZYX", abc, degrees=True).as_rotvec().tolist()]
+
+    def joints_at(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(6,) rad: joint angles near ``near`` at a pose as of ``flange_pose``. Raises ValueError where the arm does not reach it."""
+        wanted = Rotation.from_rotvec(pose[3:]).inv()
+
+        def off(q: np.ndarray) -> np.ndarray:
+            here = np.array(self.flange_pose(q))
+            return np.r_[here[:3] - pose[:3], (wanted * Rotation.from_rotvec(here[3:])).as_rotvec()]
+
+        found = least_squares(off, near, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        if np.abs(found.fun).max() > 1e-6:
+            raise ValueError("no joint angles bring the flange to this pose")
+        return found.x
+
+    def line(self, pose: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (k,) m along a straight line from here to a pose, and joint angles (k, 6) rad there. Raises ValueError."""
+        begin, end = np.array(self.tcp_pose()), np.array(pose, dtype=float)
+        share = np.linspace(0, 1, LINE_POINTS)
+        turn = Slerp([0, 1], Rotation.from_rotvec([begin[3:], end[3:]]))(share).as_rotvec()
+        q = [self.arm.q]
+        for one, rotation in zip(share[1:], turn[1:], strict=True):
+            q.append(self.joints_at(np.r_[begin[:3] + one * (end[:3] - begin[:3]), rotation], q[-1]))
+        return share * max(float(np.linalg.norm(end[:3] - begin[:3])), 1e-6), np.array(q)
+
+    def tcp_pose(self) -> list[float]:
+        """Of the flange, as the TCP is not set."""
+        return self.flange_pose(self.arm.q)
 
     def tcp_speed(self) -> list[float]:
         """Its derivative (m/s, rad/s), by differences over a microsecond of this motion."""
@@ -193,7 +245,7 @@ class FakeUrController(TcpServer):
             "safety_mode": 1 if a["safety_bits"] & 1 else 3,
             "safety_status": 1 if a["safety_bits"] & 1 else 3,
             "safety_status_bits": a["safety_bits"],
-            "robot_status_bits": 3,
+            "robot_status_bits": 1 | self.playing << 1,
             "runtime_state": a["runtime_state"],
             "speed_scaling": arm.scale,
             "target_speed_fraction": a["speed_fraction"],
@@ -204,6 +256,7 @@ class FakeUrController(TcpServer):
             "output_int_register_0": arm.taken,
             "output_int_register_1": int(arm.moving),
             "output_int_register_2": a["program"] if a["runtime_state"] == 2 else 0,
+            **({} if self._uploaded is None else self._uploaded.registers()),
         }
 
 
@@ -244,8 +297,8 @@ class _Conversation:
             except TimeoutError:
                 # A computer that stood still held the client as well: the wait counts, not the clock.
                 self._silent_s += wait_s
-                if self.commands and self._silent_s > self._controller.watchdog_s:
-                    self._controller.halt()
+                if self.commands:
+                    self._controller.not_heard_for(self._silent_s)
                 continue
             if not data:
                 return
