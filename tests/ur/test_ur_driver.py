@@ -252,7 +252,7 @@ def test_a_line_is_straight_and_driven_at_its_speed(controller):
     along = (places - begin[:3]) @ way
     assert np.abs(places - begin[:3] - along[:, None] * way).max() < 1e-5
     assert np.diff(along).max() / 0.002 == pytest.approx(0.25, rel=1e-3)
-    np.testing.assert_allclose(controller.tcp_pose(), end, atol=1e-6)
+    np.testing.assert_allclose(controller.tcp_pose()[:3], end[:3], atol=1e-6)
 
 
 @pytest.fixture
