@@ -231,7 +231,7 @@ def test_a_client_by_others_switches_outputs_and_the_slider_while_another_one_li
 def test_a_client_by_others_uploads_its_program_and_moves_the_arm(said_by, caplog):
     host = "127.0.0.77"
     with FakeUrController(start_deg=HOME_DEG, host=host, port=30004, realtime=True, runtime_state=1) as fake:
-        with Dashboard(fake, host), ScriptPort(fake, host):
+        with Dashboard(fake.playing, fake.end_program, host), ScriptPort(fake.run_uploaded, host):
             stopped_at, moved_again = said_by(CONTROLS)
         assert 0.2 < stopped_at < 2.9
         assert not moved_again
@@ -243,7 +243,7 @@ def test_a_client_by_others_uploads_its_program_and_moves_the_arm(said_by, caplo
 def test_a_line_is_straight_and_driven_at_its_speed(controller):
     begin = np.array(controller.tcp_pose())
     end = begin + [0.1, 0.05, -0.08, 0, 0, 0]
-    controller.arm.go_along(*controller.line(end), 0.25, 1.0)
+    controller.arm.go_along(*controller.arm.line(end), 0.25, 1.0)
     places = []
     while controller.arm.moving:
         controller.advance(0.002)

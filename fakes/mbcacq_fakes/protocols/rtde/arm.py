@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 import ruckig
 from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation, Slerp
 
+from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.dynamics.timed_arm import TimedArm
 
 JERK = 500.0  # rad/s^3
 BRAKE = 8.0  # rad/s^2
 LED_RAD_S = 1.0  # by a person, or by its own program
+LINE_POINTS = 33
 SLIDER_PER_S = 4.0  # how fast the speed follows the slider: from stop to full in a quarter of a second
 
 
@@ -33,10 +37,10 @@ class AlongPath:
 
 
 class ProgrammedArm(TimedArm):
-    """taken: number of the command that was taken up. scale: of speed, as the slider has it."""
+    """taken: number of the command that was taken up. scale: of speed, as the slider has it. dh: rows, from which flange poses follow."""
 
-    def __init__(self, start_deg: Sequence[float], state: Any, clock_s: float) -> None:
-        self.taken, self.scale = 0, 1.0
+    def __init__(self, start_deg: Sequence[float], state: Any, clock_s: float, dh: Sequence[Sequence[float]]) -> None:
+        self.taken, self.scale, self._kinematics = 0, 1.0, Kinematics(dh)
         super().__init__(np.radians(np.array(start_deg, dtype=float)), state, clock_s)
 
     def obey(self, registers: Mapping[str, Any]) -> None:
@@ -48,6 +52,34 @@ class ProgrammedArm(TimedArm):
         if registers["input_int_register_1"] == 1:
             *target, speed, acceleration = (registers[f"input_double_register_{k}"] for k in range(8))
             self.go(np.array(target), speed, acceleration, JERK)
+
+    def flange_pose(self, q: np.ndarray) -> list[float]:
+        """x, y, z (m) and rotation vector (rad) of the flange, q (6,) rad."""
+        x, y, z, *abc = self._kinematics.pose(np.degrees(q).tolist())
+        return [1e-3 * x, 1e-3 * y, 1e-3 * z, *Rotation.from_euler("ZYX", abc, degrees=True).as_rotvec().tolist()]
+
+    def joints_at(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(6,) rad: joint angles near ``near`` at a pose as of ``flange_pose``. Raises ValueError where the arm does not reach it."""
+        wanted = Rotation.from_rotvec(pose[3:]).inv()
+
+        def off(q: np.ndarray) -> np.ndarray:
+            here = np.array(self.flange_pose(q))
+            return np.r_[here[:3] - pose[:3], (wanted * Rotation.from_rotvec(here[3:])).as_rotvec()]
+
+        found = least_squares(off, near, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        if np.abs(found.fun).max() > 1e-6:
+            raise ValueError("no joint angles bring the flange to this pose")
+        return found.x
+
+    def line(self, pose: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (k,) m along a straight line from here to a pose, and joint angles (k, 6) rad there. Raises ValueError."""
+        begin, end = np.array(self.flange_pose(self.q)), np.array(pose, dtype=float)
+        share = np.linspace(0, 1, LINE_POINTS)
+        turn = Slerp([0, 1], Rotation.from_rotvec([begin[3:], end[3:]]))(share).as_rotvec()
+        q = [self.q]
+        for one, rotation in zip(share[1:], turn[1:], strict=True):
+            q.append(self.joints_at(np.r_[begin[:3] + one * (end[:3] - begin[:3]), rotation], q[-1]))
+        return share * max(float(np.linalg.norm(end[:3] - begin[:3])), 1e-6), np.array(q)
 
     def lead(self, target: np.ndarray) -> None:
         """A person brings it to ``target`` (6,) rad."""

@@ -12,10 +12,8 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
@@ -35,7 +33,6 @@ UR10E = tuple(
     (1.0, 0.0, d, a, alpha)
     for d, a, alpha in ((180.7, 0, 90), (0, -612.7, 0), (0, -571.55, 0), (174.15, 0, 90), (119.85, 0, -90), (116.55, 0, 0))
 )
-LINE_POINTS = 33
 GRAVITY = 9.82  # m/s^2, as the controller assumes it
 FAULTS = {
     "safety_bits": "safety_status_bits, such as 4 for a protective stop; the arm halts while it is not 1",
@@ -73,9 +70,8 @@ class FakeUrController(TcpServer):
         self.inputs: dict[str, Any] = {}  # what clients wrote, last
         self.lock = threading.Lock()  # of the arm and what is said of it
         self._conversations: list[_Conversation] = []
-        self._kinematics = Kinematics(dh)
         self.inject(**faults)
-        self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime, state
+        self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S, dh), realtime, state
         self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
         super().__init__(host, port, one=False)
         self._led: np.ndarray | None = None
@@ -166,57 +162,29 @@ class FakeUrController(TcpServer):
         if self.on_output is not None:
             self.on_output(number, value)
 
-    @property
     def playing(self) -> bool:
         return self._active["runtime_state"] == 2
 
     def run_uploaded(self) -> None:
         """The program of ur_rtde's control interface begins."""
         with self.lock:
-            self._uploaded, self._active["runtime_state"], self._active["program"] = UploadedProgram(self), 2, 0
+            self._uploaded = UploadedProgram(self.arm, self.end_program, lambda kg: self.inject(payload=kg))
+            self.inject(runtime_state=2, program=0)
 
     def end_program(self) -> None:
         """Whichever runs; the arm halts."""
-        self._uploaded, self._active["runtime_state"] = None, 1
-
-    def flange_pose(self, q: np.ndarray) -> list[float]:
-        """x, y, z (m) and rotation vector (rad) of the flange, q (6,) rad."""
-        x, y, z, *abc = self._kinematics.pose(np.degrees(q).tolist())
-        return [1e-3 * x, 1e-3 * y, 1e-3 * z, *Rotation.from_euler("ZYX", abc, degrees=True).as_rotvec().tolist()]
-
-    def joints_at(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """(6,) rad: joint angles near ``near`` at a pose as of ``flange_pose``. Raises ValueError where the arm does not reach it."""
-        wanted = Rotation.from_rotvec(pose[3:]).inv()
-
-        def off(q: np.ndarray) -> np.ndarray:
-            here = np.array(self.flange_pose(q))
-            return np.r_[here[:3] - pose[:3], (wanted * Rotation.from_rotvec(here[3:])).as_rotvec()]
-
-        found = least_squares(off, near, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-        if np.abs(found.fun).max() > 1e-6:
-            raise ValueError("no joint angles bring the flange to this pose")
-        return found.x
-
-    def line(self, pose: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths (k,) m along a straight line from here to a pose, and joint angles (k, 6) rad there. Raises ValueError."""
-        begin, end = np.array(self.tcp_pose()), np.array(pose, dtype=float)
-        share = np.linspace(0, 1, LINE_POINTS)
-        turn = Slerp([0, 1], Rotation.from_rotvec([begin[3:], end[3:]]))(share).as_rotvec()
-        q = [self.arm.q]
-        for one, rotation in zip(share[1:], turn[1:], strict=True):
-            q.append(self.joints_at(np.r_[begin[:3] + one * (end[:3] - begin[:3]), rotation], q[-1]))
-        return share * max(float(np.linalg.norm(end[:3] - begin[:3])), 1e-6), np.array(q)
+        self._uploaded = None
+        self.inject(runtime_state=1)
 
     def tcp_pose(self) -> list[float]:
-        """Of the flange, as the TCP is not set."""
-        return self.flange_pose(self.arm.q)
+        """Pose at the flange, as the TCP is not set."""
+        return self.arm.flange_pose(self.arm.q)
 
     def tcp_speed(self) -> list[float]:
         """Its derivative (m/s, rad/s), by differences over a microsecond of this motion."""
-        later = self._kinematics.pose(np.degrees(self.arm.q + 1e-6 * self.arm.qd).tolist())
-        now = self._kinematics.pose(np.degrees(self.arm.q).tolist())
-        turned = Rotation.from_euler("ZYX", later[3:], degrees=True) * Rotation.from_euler("ZYX", now[3:], degrees=True).inv()
-        return [*(1e3 * (np.array(later[:3]) - now[:3])).tolist(), *(1e6 * turned.as_rotvec()).tolist()]
+        now, later = (np.array(self.arm.flange_pose(self.arm.q + dt * self.arm.qd)) for dt in (0.0, 1e-6))
+        turned = Rotation.from_rotvec(later[3:]) * Rotation.from_rotvec(now[3:]).inv()
+        return [*(1e6 * (later[:3] - now[:3])).tolist(), *(1e6 * turned.as_rotvec()).tolist()]
 
     def values(self) -> dict[str, Any]:
         """What it says of itself; all else is zero."""
@@ -245,7 +213,7 @@ class FakeUrController(TcpServer):
             "safety_mode": 1 if a["safety_bits"] & 1 else 3,
             "safety_status": 1 if a["safety_bits"] & 1 else 3,
             "safety_status_bits": a["safety_bits"],
-            "robot_status_bits": 1 | self.playing << 1,
+            "robot_status_bits": 1 | self.playing() << 1,
             "runtime_state": a["runtime_state"],
             "speed_scaling": arm.scale,
             "target_speed_fraction": a["speed_fraction"],
