@@ -60,7 +60,7 @@ def started(arguments: Sequence[str], environment: dict[str, str], out: int, err
 
 
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end; it and its children are killed when the time is over. Of what it says the first is kept: on a damaged
+    """Run the program to its end; it and its children are killed when the time is over. The beginning of what it says is kept: on a damaged
     file it may repeat an error without end."""
     with quiet_environment() as environment, ExitStack() as stack:
         child = stack.enter_context(started(arguments, environment, subprocess.PIPE, subprocess.STDOUT))
