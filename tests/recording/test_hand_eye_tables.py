@@ -85,6 +85,11 @@ def test_numbers_and_matrices_agree_in_every_convention(maker):
     np.testing.assert_allclose(orientations.to_matrices(numbers, word), R, atol=1e-12)
 
 
+def test_a_quaternion_is_no_three_angles():
+    with pytest.raises(ValueError, match="4 numbers are no angles about x, y, z, axes fixed .*fanuc"):
+        orientations.to_matrices(np.array([[1.0, 0, 0, 0]]), orientations.MAKERS["fanuc"])
+
+
 def test_fanuc_turns_about_fixed_axes_and_kuka_about_its_own():
     """W P R = 90 90 0 turns z to x by way of -y; A B C = 90 90 0 turns x down, then z to y."""
     turn = np.radians([[90.0, 90.0, 0.0]])
