@@ -24,7 +24,10 @@ def link_corners(chain: Chain) -> np.ndarray:
     return se3.apply(step[:, None], corners)
 
 
-def arm_outline(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """(3 m, 3) mm in the base: the corners of the links of ``link_radii`` at joint angles q (n,) rad."""
-    frames = chain.frames(q[None])[0, 1:]
-    return se3.apply(frames[:, None], link_corners(chain))[chain.floor :].reshape(-1, 3)
+def arm_outline(chain: Chain, q: np.ndarray, of_foot: bool = False) -> np.ndarray:
+    """(3 m, 3) mm in the base: the corners of the links of ``link_radii`` at joint angles q (n,) rad. of_foot: in the frame of the arm's
+    foot, which stands where it is while a table turns."""
+    frames = chain.frames(q[None])[0]
+    if of_foot:
+        frames = se3.inverse(frames[chain.floor]) @ frames
+    return se3.apply(frames[1:, None], link_corners(chain))[chain.floor :].reshape(-1, 3)

@@ -87,7 +87,7 @@ def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
     """(3 n, 3) mm: the links in the pose in the middle of the run, to draw the arm by; None of poses of a flange."""
     if not obs.n_poses or obs.cell.robot.of_flange_poses:
         return None
-    return arm_outline(state.chain, obs.q[obs.n_poses // 2])
+    return arm_outline(state.chain, obs.q[obs.n_poses // 2], of_foot=True)
 
 
 def spheres(observations: Observations) -> Spheres | None:
