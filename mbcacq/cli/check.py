@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
@@ -46,12 +46,7 @@ def command(
 
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = motion.operator(
-        steps,
-        began=lambda folder: on_failure(
-            "where all poses were measured, judge them", command_line("check", result, plan, "--from", folder), folder / "run.rrd"
-        ),
-    )
+    operator = motion.operator(steps, "where all poses were measured, judge them", "check", result, plan, "--from")
     loaded = mbcacq.load_plan(plan)
     settings = CheckSettings(poses, not placed_anew, folder=out, part=part)
     with steps:
