@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from mbcacq.devices import DeviceFault, MbcacqError, Profiles, hang_up, has_ended
+from mbcacq.devices import DeviceFault, DeviceTimeout, MbcacqError, Profiles, hang_up, has_ended
 from mbcacq_gocator import wire
 from mbcacq_gocator.layouts import MAX_MESSAGE
 from mbcacq_gocator.profiles import ProfileBlock, joined
@@ -78,6 +78,10 @@ class SensorSession(ABC, Generic[C]):
         """Name of the job that is loaded now."""
 
     @abstractmethod
+    def exposure_set(self) -> str:
+        """As ``exposure``, of the settings now: profiles come without one."""
+
+    @abstractmethod
     def start(self) -> None:
         """Let the sensor run, waiting for triggers, if it does not already."""
 
@@ -116,6 +120,8 @@ class ProfileStream:
             self._thread.join(self._timeout_s)
         if self._error is not None:
             raise self._error
+        if self._thread.is_alive():
+            raise DeviceTimeout(f"profiles still come {self._timeout_s:g} s after the sensor was stopped; see that nothing else starts it")
 
     def taken(self) -> Profiles:
         """All since the last call. Raises what ended the stream, once nothing else is left."""

@@ -6,7 +6,7 @@ import hashlib
 import threading
 from collections.abc import Callable, Mapping
 
-from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError
+from mbcacq.devices import ConfigError, DeviceFault, IdentityError, ProtocolError
 from mbcacq_gocator import commands, information, jobs, layouts
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
@@ -19,6 +19,7 @@ from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.profiles import ProfileBlock, block_of
 from mbcacq_gocator.sensor_session import SensorSession
+from mbcacq_gocator.snapshot_scanner import exposure_reported
 from mbcacq_gocator.status import SensorRefused
 
 _SNAPSHOT_SINCE = (5, 2, 1)
@@ -101,6 +102,13 @@ class GocatorSession(SensorSession[ControlChannel]):
                 "compared: keep others away from its web page, and start a new run"
             )
 
+    def exposure_set(self) -> str:
+        """Raises DeviceFault where somebody has changed other settings."""
+        before, now = self.configuration, self._read_configuration()
+        assert before is not None, "the session is open"
+        check_unchanged(before.scan_settings(), now.scan_settings())
+        return exposure_reported(now.exposure_us or 0.0, before.exposure_us)
+
     def set_exposure(self, exposure_us: float) -> None:
         """Write the exposure into the live job, if it is another one; a running sensor is stopped for it."""
         with self._settings:
@@ -170,7 +178,7 @@ class GocatorSession(SensorSession[ControlChannel]):
         """Name of the job that is loaded now."""
         try:
             return self.files.loaded_job()
-        except (SensorRefused, MbcacqError):
+        except (SensorRefused, ProtocolError):
             return "live"
 
 

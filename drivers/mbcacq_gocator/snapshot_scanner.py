@@ -129,13 +129,14 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         return self._description
 
     def facts(self) -> tuple[Fact, ...]:
-        """Values at the last exposure."""
+        """Values at the last exposure, or the end of the last stream."""
         return self._facts
 
     def _read_facts(self, session: S) -> tuple[Fact, ...]:
         about = self._description
         identity = Fact("serial number", about.serial), Fact("firmware", about.firmware, critical=False)
-        return Fact("job", session.job()), Fact("exposure", session.exposure), *identity
+        exposure = session.exposure_set() if self._mode == "profile" else session.exposure
+        return Fact("job", session.job()), Fact("exposure", exposure), *identity
 
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say, over a new connection where the sensor has closed the last one meanwhile.
@@ -202,6 +203,8 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         if self._stream is not None:
             with self._streaming():
                 self._stream.end()
+                if self._session is not None:
+                    self._facts = self._read_facts(self._session)
 
     @contextmanager
     def _streaming(self) -> Iterator[None]:

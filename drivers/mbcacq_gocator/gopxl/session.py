@@ -120,6 +120,9 @@ class GoPxLSession(SensorSession[GoPxLControl]):
         value = settings.get("singleExposure") if isinstance(settings, dict) else None
         return float(value) if isinstance(value, int | float) else None
 
+    def exposure_set(self) -> str:
+        return exposure_reported(self._exposure() or 0.0, self.exposure_us)
+
     def set_exposure(self, exposure_us: float) -> None:
         """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault if another one was taken."""
         if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < FINEST_US:

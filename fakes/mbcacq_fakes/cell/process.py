@@ -24,7 +24,7 @@ from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import check, make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.stall import STALL_S
+from mbcacq_fakes.protocols.stall import HANGING_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
@@ -120,8 +120,10 @@ class Servers:
         except OSError as error:
             raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
         self._stack.callback(self._sensor.stop)
-        grace = {} if self._job["realtime"] or self._job["ports"] == "plan" or "reply_limit_s" in given else {"grace_s": STALL_S}
-        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}, **grace}
+        timed = self._job["realtime"] or self._job["ports"] == "plan"  # in lock-step a busy computer is slow, and no sensor is silent
+        slow = () if timed else (("reply_limit_s", "grace_s"), ("timeout_s", "timeout_s"))
+        waits = {option: HANGING_S for said, option in slow if said not in given}
+        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}, **waits}
 
     def _start_program(self) -> dict[str, Any]:
         """The scanner's own program, with a folder of its own."""
