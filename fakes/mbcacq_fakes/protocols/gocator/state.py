@@ -64,7 +64,7 @@ class SensorState:
 
     @property
     def part_number(self) -> str:
-        return self.options.part_number or f"31{self.model}A-2-R-01-T"
+        return f"31{self.model}A-2-R-01-T"
 
     @property
     def address(self) -> str:
