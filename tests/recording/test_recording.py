@@ -194,6 +194,22 @@ def test_a_controller_that_starts_anew_at_once_does_not_turn_time_back(tmp_path)
     assert load_observations(tmp_path).time_s.tolist() == pytest.approx([1000.0, 1050.0, 1069.0, 1119.0])
 
 
+@pytest.mark.parametrize(("restarted", "seen"), [(False, [1000.0, 1050.0, 1100.0, 1150.0]), (True, [1000.0, 1050.0, 1050.0, 1100.0])])
+def test_a_computer_whose_clock_is_set_back_between_two_parts_does_not_turn_time_back(tmp_path, restarted, seen):
+    """What the controller's clock says counts; where that began anew too, the pause is not known, and the order stays."""
+    rng = np.random.default_rng(0)
+    for part, started in enumerate(("2026-01-02T03:04:05+00:00", "2026-01-02T01:04:05+00:00")):
+        with Recorder(tmp_path, part=part) as recorder:
+            recorder(dataclasses.replace(synthetic.start(), started=started))
+            for number in (2 * part, 2 * part + 1):
+                at = 1000.0 + 50 * number - (100.0 if restarted and part else 0.0)
+                for event in synthetic.pose(rng, number, 1.0 + number):
+                    recorder(dataclasses.replace(event, robot_time_s=at) if isinstance(event, events.PoseDone) else event)
+    obs = load_observations(tmp_path)
+    assert obs.pose_id.tolist() == [0, 1, 2, 3]
+    assert obs.time_s.tolist() == pytest.approx(seen)
+
+
 def test_a_recording_is_never_overwritten(a_run):
     before = (a_run / "run.rrd").read_bytes()
     with pytest.raises(RecordingError, match=r"run\.rrd exists already"):

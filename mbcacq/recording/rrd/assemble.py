@@ -59,6 +59,7 @@ def _clock_shifts(rows: Sequence[Row], simulated: bool) -> dict[int, float]:
         if part not in shifts:
             robot = float(row["robot_time_s"][0] - before["robot_time_s"][0])
             host = float(row["time_s"][0] - before["time_s"][0])
+            host = host if host >= 0 else max(robot, 0.0)  # a clock that was set back in the pause says nothing of it
             earlier = shifts[int(before["part"][0])]
             shifts[part] = earlier + host - robot if robot < 0 or not simulated and abs(host - robot) > RESTART_S else earlier
         before = row

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import inside_folder
+from mbcacq.recording.rrd.run_header import read_run_header
 from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, kind_of, newest
 
 RUNS, LATEST = "runs", "latest"
@@ -34,7 +35,7 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
     """The folder that 'latest' or 'runs/latest' names, which is the newest of these kinds; any other path as it is. Raises ConfigError
     where there is none."""
     mark = Path(RUNS) / LATEST if path == Path(LATEST) and not path.exists() else path
-    if mark.name != LATEST or mark.parent.name != RUNS or mark.is_dir() and not mark.is_symlink():
+    if mark.name != LATEST or mark.parent.name != RUNS or mark.is_dir() and not mark.is_symlink() and not _is_copy(mark):
         return mark
     marked = _marked(mark)
     if kinds == CALIBRATED_FROM and marked is not None and marked.is_dir() and kind_of(marked) in kinds:
@@ -45,6 +46,12 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
         what = "run" if RunKind.RUN in kinds else "check"
         raise ConfigError(f"{mark} does not exist, there is no {what} yet; start one, such as mbcacq run plans/quick.yaml --dry-run")
     raise ConfigError(f"{mark} names the run {marked}, which is gone; give the folder of another run")
+
+
+def _is_copy(folder: Path) -> bool:
+    """Whether a folder holds the recording of one beside it: a program that copied the folder of the runs followed the link."""
+    header = read_run_header(folder)
+    return header is not None and any(read_run_header(other) == header for other in folder.parent.iterdir() if other != folder)
 
 
 def _marked(mark: Path) -> Path | None:
