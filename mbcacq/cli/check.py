@@ -69,14 +69,12 @@ def lines_of(done: InterimCheck) -> list[str]:
     from mbcacq.interim_check.words import odds, size_in_words, size_of
 
     v, days = done.verdict, len(done.history.days)
-    sentence = done.sentence
-    out = [f"{capitalised(sentence)}."]
+    out = [f"{capitalised(done.sentence)}."]
     since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
     levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
     out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
-    for s in v.suspects:
-        out.append(f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else ""))
+    out += [f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else "") for s in v.suspects]
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
         out += [f"  {name} ({where}): {size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
