@@ -365,10 +365,17 @@ def test_mjcf_without_its_meshes_has_the_flange_that_it_has_with_them(read):
     assert any("none.stl" in remark for remark in without.remarks)
 
 
-@pytest.mark.parametrize("limits", ["-170 inf", "-inf 170"])
-def test_an_infinite_limit_of_mjcf_is_named_with_its_joint(read, limits):
+@pytest.mark.parametrize("limits", ["-170 inf", "-inf 170", "-170 nan", "-170 -inf", "170 -170"])
+def test_limits_of_mjcf_that_are_none_are_named_with_their_joint(read, limits):
     text = mjcf("").replace('name="j2"', f'name="j2" range="{limits}"')
     with pytest.raises(ConfigError, match="'j2' has the limits"):
+        read(text, "arm.xml")
+
+
+@pytest.mark.parametrize("mass", ["-5", "nan", "-inf"])
+def test_a_mass_of_mjcf_that_no_body_has_is_named_with_its_body(read, mass):
+    text = mjcf("").replace('<joint name="j2"', f'<inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/><joint name="j2"')
+    with pytest.raises(ConfigError, match=f"body 'b2' has a mass of {mass} kg"):
         read(text, "arm.xml")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ class Enlarged:
     responses: tuple[str, ...] = ()  # titles of the charts of the diagnosis
     compared: bool = True  # whether there is a state before the calibration
     investigated: bool = False  # whether the cell chose its poses itself
+    unit: str = "°"  # of positions of the axes
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,11 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
 
 def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     axes = rrb.Vertical(
-        _curves("Joint positions: commanded (broad), actual (thin), °", [layout.SET, layout.JOINTS], legend=False, whole=True),
+        _curves(
+            f"Joint positions: commanded (broad), actual (thin), {enlarged.unit}", [layout.SET, layout.JOINTS], legend=False, whole=True
+        ),
         rrb.Horizontal(
-            _curves("Following error (commanded minus actual), °", [layout.FOLLOWING], legend=False, whole=True),
+            _curves(f"Following error (commanded minus actual), {enlarged.unit}", [layout.FOLLOWING], legend=False, whole=True),
             _curves("Motor current, % of the largest", [layout.CURRENT], legend=False, whole=True),
         ),
         row_shares=[15, 8],
@@ -263,7 +266,8 @@ def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = 
 
 def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
-    return blueprint(place_camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
+    shown = replace(enlarged, unit="°, cm of axes that slide") if cell.robot.chain.sliding else enlarged
+    return blueprint(place_camera(cell.robot.chain, stations(plan_yaml)), shown, live, len(cell.ball_ids))
 
 
 def place_camera(chain: Chain, places: np.ndarray) -> ViewerCamera:

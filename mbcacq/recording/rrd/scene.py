@@ -38,7 +38,7 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
         _log_arm(rec, cell.robot.chain)
     if view:
         _log_scanner(rec, _field_of_view(plan_yaml))
-    log_series(rec, cell.robot.axes)
+    log_series(rec, cell.robot.drawn_axes if cell.robot.chain.sliding else cell.robot.axes)
     states = {
         "connecting": (130, 130, 130),
         "moving": (86, 180, 233),
@@ -188,9 +188,10 @@ def log_limits(rec: Stream) -> None:
 
 def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
     thick, corners = link_radii(chain), link_corners(chain)
-    foot = max(0.45 * abs(float(chain.d[0])), 0.4 * thick[0])
+    floor = chain.floor
+    foot = max(0.45 * abs(float(chain.d[floor])), 0.4 * thick[0])
     rec.log(
-        f"{layout.ROBOT}/base",
+        f"{layout.link(floor) if floor else layout.ROBOT}/base",
         rr.Cylinders3D(
             lengths=[foot, 0.18 * foot],
             radii=[1.35 * thick[0], 1.9 * thick[0]],
@@ -201,19 +202,19 @@ def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
         static=True,
     )
     step = se3.inverse(chain.link_transforms(-chain.sign * chain.theta[None])[0])
-    for i in range(chain.n):
+    for i, radius in enumerate(thick, floor):
         corner = corners[i]
         axis = step[i][:3, 2]
-        if i == 0 and chain.d[0] > foot:
+        if i == floor and chain.d[i] > foot:
             corner[0] = corner[0] + axis * foot
         last = i == chain.n - 1
-        _log_capsules(rec, f"{layout.link(i + 1)}/body", corner, 0.8 * thick[i], FLANGE if last else ARM)
+        _log_capsules(rec, f"{layout.link(i + 1)}/body", corner, 0.8 * radius, FLANGE if last else ARM)
         if not last:
             rec.log(
                 f"{layout.link(i + 1)}/joint",
                 rr.Cylinders3D(
-                    lengths=[2.1 * thick[i]],
-                    radii=[1.02 * thick[i]],
+                    lengths=[2.1 * radius],
+                    radii=[1.02 * radius],
                     centers=[corner[0]],
                     quaternions=[_z_to(axis)],
                     colors=[JOINT],

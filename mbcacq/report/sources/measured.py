@@ -12,9 +12,8 @@ from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.estimation.terms import accumulate, known_errors
 from mbcacq.geometry import se3
 from mbcacq.geometry.link_shapes import arm_outline, link_radii
-from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
+from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import in_degrees
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
@@ -42,19 +41,9 @@ def residuals(observations: Observations, result: Mapping[str, Any], state: Cell
         weighted=_three(deviation / sigma),
         outlier=out,
         station=station,
-        q_deg=None if robot.of_flange_poses else positions(robot, obs.q)[obs.pose],
-        axes=axes_of(robot),
+        q_deg=None if robot.of_flange_poses else robot.drawn(obs.q)[obs.pose],
+        axes=robot.drawn_axes,
     )
-
-
-def positions(robot: RobotModel, q: np.ndarray) -> np.ndarray:
-    """Positions (.., n) as they are drawn: deg, and cm of an axis that slides, which then fits the scale of the angles."""
-    return np.where(robot.chain.prismatic, q / 10, in_degrees(q))
-
-
-def axes_of(robot: RobotModel) -> tuple[str, ...]:
-    """(n,) axes with the units of ``positions``."""
-    return tuple(f"{name} / {'cm' if slides else '°'}" for name, slides in zip(robot.axes, robot.chain.prismatic.tolist(), strict=True))
 
 
 def _three(rows: np.ndarray) -> np.ndarray:
@@ -69,9 +58,9 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres and not obs.cell.robot.of_flange_poses:  # one target is one place
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=None if obs.cell.robot.of_flange_poses else positions(obs.cell.robot, obs.q),
-        limits_deg=positions(obs.cell.robot, obs.cell.robot.limits.T).T,
-        axes=axes_of(obs.cell.robot),
+        q_deg=None if obs.cell.robot.of_flange_poses else obs.cell.robot.drawn(obs.q),
+        limits_deg=obs.cell.robot.drawn(obs.cell.robot.limits.T).T,
+        axes=obs.cell.robot.drawn_axes,
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,
