@@ -73,7 +73,7 @@ def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, mis
         excess = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
         pair = tuple(str(v) for v in rng.choice(alone, 2, replace=False))
         names = {NONE: (), TWO: pair}.get(kind, (kind,))
-        out.append(Scenario(number, kind, cell, names, effect, excess, outliers, tuple(missing)))
+        out.append(Scenario(number, kind, cell, names, effect, excess, outliers, missing=tuple(missing)))
     return out
 
 

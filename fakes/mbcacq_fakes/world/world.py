@@ -83,7 +83,7 @@ class World:
         """Add clock and temperatures to what the arm and the operator do; all with a leading axis P, in time order."""
         time_s = self.environment.clock(robot_time_s)
         air_C, robot_C = self.environment.air(time_s), self.environment.robot(time_s)
-        return Moments(q, velocity, direction, arrival, time_s, air_C, robot_C, station, artefact)
+        return Moments(q, velocity, direction, arrival, time_s, air_C, robot_C, station=station, artefact=artefact)
 
     def displaced(self, at: Moments) -> Moved:
         """What all effects do at these moments."""
