@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-import yaml
 from rerun.blueprint import encodings
 
 from mbcacq.geometry.chain import Chain
-from mbcacq.model import yaml12
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.chart import SHEET_HEIGHT, SHEET_WIDTH, sheet_height
 from mbcacq.recording.rrd.drawable import drawable
+from mbcacq.recording.rrd.of_plan import of_plan
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
@@ -289,8 +288,8 @@ def _point(xyz: np.ndarray) -> Point:
 
 def stations(plan_yaml: str) -> np.ndarray:
     """(S, 3) planned places, none where the run has no plan of that form."""
-    try:
-        places = [station["pose_in_base"]["translation_mm"] for station in yaml12.load(plan_yaml)["stations"]]
-        return np.array(places, dtype=float).reshape(-1, 3)
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return np.zeros((0, 3))
+
+    def read(plan: Any) -> np.ndarray:
+        return np.array([station["pose_in_base"]["translation_mm"] for station in plan["stations"]], dtype=float).reshape(-1, 3)
+
+    return of_plan(plan_yaml, read, np.zeros((0, 3)))

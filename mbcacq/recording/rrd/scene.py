@@ -6,19 +6,18 @@ from typing import Any, TypedDict
 
 import numpy as np
 import rerun as rr
-import yaml
 from rerun.components import MarkerShape
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.link_shapes import link_corners, link_radii
-from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.drawn_later import Stream
+from mbcacq.recording.rrd.of_plan import of_plan
 
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
@@ -94,11 +93,11 @@ def log_ball_series(rec: Stream, cell: Cell) -> None:
 
 def log_obstacles(rec: Stream, plan_yaml: str) -> None:
     """The plan's boxes, as outlines; those that would only frame the whole scene (a floor) are left to the grid."""
-    try:
-        given = yaml12.load(plan_yaml)["obstacles"]
-        boxes = [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in given]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return
+
+    def read(plan: Any) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        return [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in plan["obstacles"]]
+
+    boxes = of_plan(plan_yaml, read, [])
     boxes = [(name, low, high) for name, low, high in boxes if np.max(high - low) <= LARGEST_BOX]
     if boxes:
         rec.log(
@@ -127,6 +126,12 @@ def transforms(T: np.ndarray) -> TransformColumns:
     return {"translation": T[:, :3, 3].astype(np.float32), "quaternion": quaternions.from_matrix(T[:, :3, :3])[:, [1, 2, 3, 0]]}
 
 
+def placed(T: np.ndarray) -> rr.Transform3D:
+    """At a pose (4, 4)."""
+    move = transforms(T[None])
+    return rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0])
+
+
 def arm_frames(cell: Cell, q: np.ndarray) -> dict[str, np.ndarray]:
     """Entity -> (k, 4, 4) T_base_link of every link and T_base_scanner, for q (k, n) rad."""
     frames = cell.robot.chain.frames(q)
@@ -137,8 +142,7 @@ def arm_frames(cell: Cell, q: np.ndarray) -> dict[str, np.ndarray]:
 def log_arm(rec: Stream, cell: Cell, q: np.ndarray) -> None:
     """The arm at one posture q (n,) rad, at the times set on the stream."""
     for entity, T in arm_frames(cell, q[None]).items():
-        move = transforms(T)
-        rec.log(entity, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
+        rec.log(entity, placed(T[0]))
 
 
 def log_texts(rec: rr.RecordingStream, plan_yaml: str, cell_yaml: str) -> None:
@@ -251,11 +255,10 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
     edges = [np.vstack([face, face[:1]]) for face in faces] + [np.stack([faces[0][k], faces[1][k]]) for k in range(4)]
     rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=rr.Radius.ui_points(1.0)), static=True)
     if body := view.get("body_mm"):
-        window = np.append(np.mean(np.array(body, dtype=float), axis=0)[:2], np.min(np.array(body, dtype=float)[:, 2]))
+        low, high = np.array(body, dtype=float)
+        window = np.append((low + high)[:2] / 2, min(low[2], high[2]))
         rays = [np.stack([window, corner]) for corner in faces[0]]
         rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=rr.Radius.ui_points(0.5)), static=True)
-    if body := view.get("body_mm"):
-        low, high = np.array(body, dtype=float)
         rec.log(
             f"{layout.SCANNER}/housing",
             rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[HOUSING], fill_mode="solid"),
@@ -266,20 +269,18 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
 
 def home(plan_yaml: str, n: int) -> np.ndarray:
     """(n,) rad, the plan's home: how the arm is drawn until it reports itself."""
-    try:
-        q = from_degrees(np.array(yaml12.load(plan_yaml)["robot"]["home_deg"], dtype=float))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return np.zeros(n)
+    q = of_plan(plan_yaml, lambda plan: from_degrees(np.array(plan["robot"]["home_deg"], dtype=float)), np.zeros(n))
     return q if q.shape == (n,) else np.zeros(n)
 
 
 def _field_of_view(plan_yaml: str) -> dict[str, Any]:
     """The plan's field of view, or a small cone where the run has no plan of that form."""
-    try:
-        view = yaml12.load(plan_yaml)["scanner"]["field_of_view"]
+
+    def read(plan: Any) -> dict[str, Any]:
+        view = plan["scanner"]["field_of_view"]
         return {**view, "near_z_mm": float(view["near_z_mm"])}
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return {"near_z_mm": 20.0, "far_z_mm": -20.0, "near_half_mm": (30.0, 30.0), "far_half_mm": (40.0, 40.0)}
+
+    return of_plan(plan_yaml, read, {"near_z_mm": 20.0, "far_z_mm": -20.0, "near_half_mm": (30.0, 30.0), "far_half_mm": (40.0, 40.0)})
 
 
 def _z_to(direction: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
-from mbcacq.calibration.result_io import ONE_VIEW, axes_of, caveats, effects_of, noise_of_a_view, of_flange_poses, state_from_dict
+from mbcacq.calibration.result_io import ONE_VIEW, axes_of, caveats, noise_of_a_view, of_flange_poses, state_from_dict
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
@@ -57,13 +57,8 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        used = measured.calibrated_poses(observations, result)
         state = state_from_dict(dict(result), observations.cell)
-        rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
-        noise = result["noise"]
-        values, effects = {p["name"]: p["value"] for p in result["parameters"]}, effects_of(dict(result))
-        scatter = noise["scanner_mm"], noise["joint_rad"]
-        found["residuals"] = measured.residuals(used, state, *scatter, rejected, effects, values)
+        found["residuals"] = measured.residuals(observations, result, state)
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
     spacing = spacing_of(result)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from mbcacq.effects.effect_model import EffectModel
+from mbcacq.calibration.result_io import effects_of
 from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.estimation.terms import accumulate, known_errors
 from mbcacq.geometry import se3
@@ -18,31 +17,19 @@ from mbcacq.model.observations import Observations
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
-def residuals(
-    observations: Observations,
-    state: CellState,
-    point_mm: ArrayLike | None,
-    joint_rad: ArrayLike | None,
-    rejected: Set[tuple[int, int | None]] = frozenset(),
-    effects: EffectModel | None = None,
-    values: Mapping[str, float] | None = None,
-) -> Residuals:
-    """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
-
-    point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).
-    effects: what the arm does beyond its geometry. values: of parameters by their names, among them errors of the instrument.
+def residuals(observations: Observations, result: Mapping[str, Any], state: CellState) -> Residuals:
+    """Residuals of every centre at the stations that the result knows, with its effects and the errors of its instrument; the expected
+    sigma is that of scanner noise and joint repeatability together (marginal). state: the cell of the result, as the observations list it.
     """
-    obs = observations
+    obs, effects, noise = calibrated_poses(observations, result), effects_of(result), result["noise"]
     known = [*zip(effects.at(obs), effects.coefficients, strict=True)] if effects else []
-    known += known_errors(obs, values or {})
+    known += known_errors(obs, {p["name"]: p["value"] for p in result["parameters"]})
     prediction = predict(obs, state, accumulate(obs, *zip(*known, strict=True)) if known else None)
     deviation = residual(obs, prediction)[:, :3]
-    weighted = None
-    if point_mm is not None and joint_rad is not None:
-        J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
-        sigma = np.sqrt(np.asarray(point_mm)[: deviation.shape[1]] ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
-        weighted = _three(deviation / sigma)
-    robot = obs.cell.robot
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
+    repeated = np.sum((J * np.asarray(noise["joint_rad"])) ** 2, axis=2)
+    sigma = np.sqrt(np.asarray(noise["scanner_mm"])[: deviation.shape[1]] ** 2 + repeated)
+    robot, rejected = obs.cell.robot, {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
@@ -51,7 +38,7 @@ def residuals(
         ball=ball,
         phase=_phase(obs)[obs.pose],
         xyz=_three(deviation),
-        weighted=weighted,
+        weighted=_three(deviation / sigma),
         outlier=out,
         station=station,
         q_deg=None if robot.of_flange_poses else robot.drawn(obs.q)[obs.pose],
