@@ -18,20 +18,8 @@ from mbcacq.model.robot_import.source import ArmSource
 
 PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
 SIX_DIGITS = 1e-5  # to which MuJoCo writes the numbers of a model, relative
-SHAPES = (
-    "geoms",
-    "meshes",
-    "hfields",
-    "skins",
-    "flexes",
-    "sensors",
-    "pairs",
-    "tendons",
-    "tuples",
-    "materials",
-    "textures",
-    "keys",
-)  # and their users; a key has a number for each actuator, of which some go
+# And their users; a key has a number for each actuator, of which some go.
+SHAPES = tuple("geoms meshes hfields skins flexes sensors pairs tendons tuples materials textures keys".split())
 SMALLEST_MASS = 1e-6  # kg, of a body whose shapes are not there, for MuJoCo compiles none without mass
 
 
