@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
-import time
+from functools import partial
 
-from mbcacq.devices import ConnectError, DeviceTimeout, IdentityError, ProtocolError
+from mbcacq.devices import IdentityError, ProtocolError
 from mbcacq_gocator import commands, wire
 from mbcacq_gocator.commands import GocatorCommand
 from mbcacq_gocator.request_connection import RequestConnection
@@ -24,17 +23,9 @@ _FIRST_STEP = 64 * 1024
 
 
 class ControlChannel(RequestConnection):
-    """Requests to one sensor. Safe to use from several threads; they take turns.
+    """Requests to one sensor."""
 
-    After a reply that did not come or made no sense the channel is closed: a late reply could otherwise be taken for the next one.
-    """
-
-    def __init__(
-        self, address: str, port: int, connect_timeout_s: float = 3.0, reply_limit_s: float | None = None, grace_s: float = 0.0
-    ) -> None:
-        super().__init__(address, port, connect_timeout_s, reply_limit_s, grace_s)
-        self._turn = threading.Lock()
-        self.version: tuple[int, int] = (0, 0)
+    version: tuple[int, int] = (0, 0)
 
     def open(self) -> None:
         """Connect and compare protocol versions. Raises ConnectError, IdentityError, DeviceTimeout, ProtocolError."""
@@ -56,30 +47,11 @@ class ControlChannel(RequestConnection):
 
         Raises SensorRefused (a DeviceFault) on a bad status, DeviceTimeout, ConnectError, ProtocolError.
         """
-        if not self._turn.acquire(timeout=-1 if wait_s is None else wait_s):
-            raise DeviceTimeout(f"the Gocator is still busy with another command, so '{command.name}' was not sent")
-        try:
-            sock = self._sock
-            if sock is None:
-                raise ConnectError(f"the control connection to the Gocator at {self._address}:{self._port} is closed; connect first")
-            try:
-                return self._exchange(sock, command, payload)
-            except SensorRefused:
-                raise
-            except BaseException:
-                self.close()
-                raise
-        finally:
-            self._turn.release()
+        data = _REQUEST.pack(_REQUEST.size + len(payload), command.id) + payload
+        return self._exchange(command.name, data, command.limit_s, partial(self._reply_to, command), wait_s)
 
-    def _limit(self, command: GocatorCommand) -> float:
-        return self._grace_s + (command.limit_s if self._reply_limit_s is None else min(command.limit_s, self._reply_limit_s))
-
-    def _exchange(self, sock: socket.socket, command: GocatorCommand, payload: bytes) -> memoryview:
-        deadline = time.monotonic() + self._limit(command)
-        what = f"reply to '{command.name}'"
-        _send(sock, _REQUEST.pack(_REQUEST.size + len(payload), command.id) + payload, command.name, self._limit(command))
-        length, answered, status, body = _read_reply(sock, what, deadline)
+    def _reply_to(self, command: GocatorCommand, sock: socket.socket, deadline: float) -> memoryview:
+        length, answered, status, body = _read_reply(f"reply to '{command.name}'", sock, deadline)
         if answered != command.id:
             raise ProtocolError(
                 f"the Gocator answered '{command.name}' (0x{command.id:04X}) with a reply to 0x{answered:04X} "
@@ -91,10 +63,8 @@ class ControlChannel(RequestConnection):
 
     def _probe(self) -> tuple[int, int] | None:
         """The version, if firmware old enough to answer in 64-bit fields reports it here."""
-        assert self._sock is not None
-        limit = self._limit(commands.PROTOCOL_VERSION)
-        _send(self._sock, _PROBE, "version probe", limit)
-        length, _, _, body = _read_reply(self._sock, "reply to 'version probe'", time.monotonic() + limit)
+        name, limit_s = "version probe", commands.PROTOCOL_VERSION.limit_s
+        length, _, _, body = self._exchange(name, _PROBE, limit_s, partial(_read_reply, f"reply to '{name}'"))
         if length != _OLD_PROBE_REPLY:
             return None
         # u32 40, u32 0, u64 id, s64 status, u64 major, u64 minor; body starts at byte 10
@@ -108,17 +78,7 @@ class ControlChannel(RequestConnection):
         return body[0], body[1]
 
 
-def _send(sock: socket.socket, data: bytes, name: str, limit_s: float) -> None:
-    try:
-        sock.settimeout(limit_s)
-        sock.sendall(data)
-    except TimeoutError:
-        raise DeviceTimeout(f"the Gocator does not take in '{name}'; check the network") from None
-    except OSError as error:
-        raise wire.Dropped(f"the control connection broke while sending '{name}' ({error.strerror or error})") from None
-
-
-def _read_reply(sock: socket.socket, what: str, deadline: float) -> tuple[int, int, int, memoryview]:
+def _read_reply(what: str, sock: socket.socket, deadline: float) -> tuple[int, int, int, memoryview]:
     header = memoryview(bytearray(_REPLY.size))
     wire.receive_exactly(sock, header, what, deadline)
     length, identifier, status = _REPLY.unpack(header)

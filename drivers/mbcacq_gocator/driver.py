@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan
+from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan, parse_options
 from mbcacq_gocator import commands
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.control import ControlChannel
 from mbcacq_gocator.exposure import expose
 from mbcacq_gocator.files import SensorFiles
 from mbcacq_gocator.generation import gopxl_answers
-from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
-from mbcacq_gocator.options import GocatorOptions, parse
+from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.session import GocatorSession, check_unchanged
-from mbcacq_gocator.snapshot_scanner import RESTORE_CONNECT_S, RESTORE_REPLY_S, SnapshotScanner
+from mbcacq_gocator.snapshot_scanner import SnapshotScanner
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, float32"),
@@ -30,7 +27,6 @@ _FIELDS = (
     Field("time_s", "s", meaning="the sensor's clock at the exposure"),
     Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
 )
-_log = logging.getLogger("mbcacq.gocator")
 
 
 class Gocator(SnapshotScanner[GocatorSession]):
@@ -47,12 +43,11 @@ class Gocator(SnapshotScanner[GocatorSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = parse(name, options or {})
+        self.options = parse_options(GocatorOptions, f"scanner '{name}'", options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
         super().__init__(name, model, self.options, self.options.mode, about)
         self._before: Before | None = None
         self._place = self.options
-        self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
         self._warnings: list[str] = []  # found since the last scan that was returned
 
     def capture(self, exposure_us: float | None = None) -> Scan:
@@ -64,22 +59,13 @@ class Gocator(SnapshotScanner[GocatorSession]):
         return super().capture(exposure_us)
 
     def stop(self) -> None:
-        self._cancel.set()
+        super().stop()
         session = self._session
         if session is not None:
             try:
                 session.stop()
             except MbcacqError:
                 session.control.close()
-
-    def close(self) -> None:
-        """Stop, put job and settings back as they were found, release everything."""
-        self.stop()
-        self._wanted = False
-        try:
-            self._restore()
-        finally:
-            self._drop()
 
     def _opened(self) -> GocatorSession:
         self._place = located(self.options)
@@ -131,18 +117,10 @@ class Gocator(SnapshotScanner[GocatorSession]):
         before, self._before = self._before, None
         if before is None or not before.changed or not self.options.restore:
             return
-        place, session = self._place, self._session
-        limit_s = min(place.reply_limit_s or RESTORE_REPLY_S, RESTORE_REPLY_S)
-        spare = ControlChannel(place.address, place.control_port, RESTORE_CONNECT_S, limit_s)
-        if session is not None and session.control.is_open:
-            with suppress(MbcacqError):
-                return before.restore(session.files)
-        try:
-            spare.open()
-            log_in(spare, place.password)
-            spare.request(commands.STOP)
-            before.restore(SensorFiles(spare))
-        except MbcacqError as error:
-            _log.warning("scanner '%s': job '%s' and its exposure could not be put back as they were: %s", self.name, before.job, error)
-        finally:
-            spare.close()
+
+        def put_back(control: ControlChannel) -> None:
+            log_in(control, self._place.password)
+            control.request(commands.STOP)
+            before.restore(SensorFiles(control))
+
+        self._put_back(self._place, ControlChannel, put_back, f"job '{before.job}' and its exposure")

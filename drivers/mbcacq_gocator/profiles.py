@@ -1,28 +1,20 @@
-"""The stream of a line scanner's profiles: a thread takes data sets off the wire, and whole blocks of them become points.
+"""The profiles of a line scanner: whole blocks of data sets become points.
 
 A data set has one stamp and one profile, or several of both where the sensor sends them together.
 """
 
 from __future__ import annotations
 
-import select
-import socket
-import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Protocol
 
 import numpy as np
 
-from mbcacq.devices import DeviceFault, MbcacqError, Profiles, ProtocolError
+from mbcacq.devices import Profiles, ProtocolError
 from mbcacq_gocator.dataset import DataSet
 from mbcacq_gocator.decode import TICKS_PER_US, ArrayMessage
 from mbcacq_gocator.layouts import INVALID, PROFILE_POINTS, TYPE_NAMES, UNIFORM_PROFILE
-
-_POLL_S = 0.05
-_QUIET = 8  # polls without a data set, after which a stopped sensor has sent all; a busy computer polls more slowly
 
 
 @dataclass(frozen=True)
@@ -37,95 +29,6 @@ class ProfileBlock:
     raw: np.ndarray
     scale: tuple[float, float]
     offset: tuple[float, float]
-
-
-class ProfileSource(Protocol):
-    """A connected sensor that sends profiles from ``start`` to ``stop``."""
-
-    @property
-    def data_socket(self) -> socket.socket | None:
-        """The connection of the data channel, to wait at; None once it is closed."""
-        ...
-
-    @property
-    def is_wanted(self) -> bool:
-        """Whether nobody has stopped what waits for the sensor."""
-        ...
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        """The profiles of the next data set, copied; None if it has none, or the session is closed.
-
-        Raises DeviceTimeout, ConnectError, ProtocolError, Aborted."""
-        ...
-
-
-class ProfileStream:
-    """Starts the sensor, and its own thread. timeout_s: of one data set. after_s: time of the last profile of an earlier stream, -inf
-    without one."""
-
-    def __init__(self, session: ProfileSource, timeout_s: float, after_s: float = -np.inf) -> None:
-        self._session, self._timeout_s = session, timeout_s
-        self._blocks: list[ProfileBlock] = []
-        self._lock, self._ending = threading.Lock(), threading.Event()
-        self._error: MbcacqError | None = None
-        self._frame: int | None = None  # of the last profile that was returned
-        self.latest_s = after_s  # its time
-        self._thread = threading.Thread(target=self._read, name="gocator-profiles", daemon=True)
-        session.start()
-        self._thread.start()
-
-    def end(self) -> None:
-        """Stop the sensor and wait for what is under way. Raises as ``stop`` of the session, and what ended the stream before."""
-        try:
-            if self._thread.is_alive():
-                self._session.stop()
-        finally:
-            self._ending.set()
-            self._thread.join(self._timeout_s)
-        if self._error is not None:
-            raise self._error
-
-    def taken(self) -> Profiles:
-        """All since the last call. Raises what ended the stream, once nothing else is left."""
-        with self._lock:
-            blocks, self._blocks = self._blocks, []
-        if not blocks and self._error is not None:
-            raise self._error
-        found = joined(blocks)
-        if not len(found):
-            return found
-        frames = found.counter if self._frame is None else np.r_[self._frame, found.counter]
-        if (np.diff(frames) <= 0).any() or (np.diff(np.r_[self.latest_s, found.time_s]) < 0).any():
-            raise DeviceFault(
-                "the sensor's counter or clock began anew while it took profiles, so nobody can tell when later ones were taken; has it "
-                "restarted? Connect it again and repeat the sweep"
-            )
-        self._frame, self.latest_s = int(found.counter[-1]), float(found.time_s[-1])
-        return Profiles(**{**vars(found), "lost": int(np.sum(np.diff(frames) - 1))})
-
-    def _read(self) -> None:
-        sock = self._session.data_socket
-        try:
-            empty = 0
-            while not (self._ending.is_set() and empty >= _QUIET):
-                if sock is None or not self._session.is_wanted:
-                    return
-                if not select.select([sock], [], [], _POLL_S)[0]:
-                    empty = empty + 1 if self._ending.is_set() else 0
-                    continue
-                found = self._session.next_profiles(time.monotonic() + self._timeout_s)
-                empty = 0
-                if found is not None:
-                    with self._lock:
-                        self._blocks.append(found)
-        except MbcacqError as error:
-            self._error = error
-        except (OSError, ValueError):  # closed by another thread
-            self._error = None
 
 
 def block_of(data: DataSet) -> ProfileBlock | None:

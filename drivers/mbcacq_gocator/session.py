@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import socket
 import threading
 from collections.abc import Callable, Mapping
 
-from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError, hang_up, has_ended
-from mbcacq_gocator import commands, information, jobs, layouts, wire
+from mbcacq.devices import ConfigError, DeviceFault, IdentityError, ProtocolError
+from mbcacq_gocator import commands, information, jobs, layouts
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import PROFILE, SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
 from mbcacq_gocator.control import ControlChannel
@@ -19,87 +18,58 @@ from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.profiles import ProfileBlock, block_of
+from mbcacq_gocator.sensor_session import SensorSession
+from mbcacq_gocator.snapshot_scanner import exposure_reported
 from mbcacq_gocator.status import SensorRefused
 
-_RECEIVE_BUFFER = 4 * 2**20
 _SNAPSHOT_SINCE = (5, 2, 1)
 _STOP_WAIT_S = 1.0
 
 
-class GocatorSession:
-    """Raises from ``open``: ConnectError, IdentityError, ConfigError, DeviceFault, DeviceTimeout, ProtocolError.
-
-    ``before``: the sensor as an earlier session of this run found it, None if this is the first.
-    """
+class GocatorSession(SensorSession[ControlChannel]):
+    """``before``: the sensor as an earlier session of this run found it, None if this is the first."""
 
     def __init__(
         self, options: GocatorOptions, model: str, cancelled: Callable[[], bool] = lambda: False, before: jobs.Before | None = None
     ) -> None:
-        self.options, self._model, self._cancelled, self.before = options, model, cancelled, before
-        self.control = ControlChannel(
-            options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, options.grace_s
-        )
+        self.options, self.before = options, before
+        times = options.connect_timeout_s, options.reply_limit_s, options.grace_s
+        super().__init__(ControlChannel(options.address, options.control_port, *times), model, cancelled)
         self.files = SensorFiles(self.control)
         self.health = HealthReader(options.address, options.health_port, options.connect_timeout_s)
-        self._data: socket.socket | None = None
-        self.reader: wire.MessageReader | None = None
         self.info: SystemInfo | None = None
         self.configuration: Configuration | None = None
         self.alignment: Alignment | None = None
-        self.running, self.exposure = False, "as set"
-        self.geometry: tuple[object, ...] = ()
         self._settings = threading.Lock()
 
-    def open(self) -> None:
+    def _agree(self) -> None:
         options = self.options
-        try:
-            self.control.open()
-            self.info = self._identify()
-            if self.info.state != information.READY:
-                self.control.request(commands.STOP)
-            self.health.open()
-            self._data = wire.connect(options.address, options.data_port, "data", options.connect_timeout_s, _RECEIVE_BUFFER)
-            self.reader = wire.MessageReader(self._data, "scan", self._cancelled, layouts.size_limit)
-            self.before = self.before or jobs.Before.of(self.files)
-            self._choose_job(self.before)
-            self.configuration = self._read_configuration()
-            self._check_job(self.configuration)
-            self.alignment = Alignment.read(self.control, self.files)
-            if not options.allow_aligned:
-                self.alignment.refuse()
-            for exposure_us in options.exposures_us:
-                self.configuration.check_exposure(exposure_us)
-            if options.exposure_us is not None:
-                self.set_exposure(options.exposure_us)
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the sensor has closed a connection since it was used, e.g. as idle."""
-        return self.control.has_ended or has_ended(self._data)
-
-    @property
-    def data_socket(self) -> socket.socket | None:
-        return self._data
-
-    @property
-    def is_wanted(self) -> bool:
-        return not self._cancelled()
+        self.info = self._identify()
+        if self.info.state != information.READY:
+            self.control.request(commands.STOP)
+        self.health.open()
+        self._open_data(options.address, options.data_port, "data", options.connect_timeout_s, layouts.size_limit)
+        self.before = self.before or jobs.Before.of(self.files)
+        self._choose_job(self.before)
+        self.configuration = self._read_configuration()
+        self._check_job(self.configuration)
+        self.alignment = Alignment.read(self.control, self.files)
+        if not options.allow_aligned:
+            self.alignment.refuse()
+        for exposure_us in options.exposures_us:
+            self.configuration.check_exposure(exposure_us)
+        if options.exposure_us is not None:
+            self.set_exposure(options.exposure_us)
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
         reader = self.reader
         return None if reader is None else block_of(read_set(reader, deadline))
 
     def close(self) -> None:
-        self.control.close()
+        super().close()
         self.health.close()
-        hang_up(self._data)
-        self._data = self.reader = None
 
     def start(self) -> None:
-        """Let the sensor run, waiting for triggers, if it does not already."""
         if not self.running:
             self.control.request(commands.START)
             self.running = True
@@ -131,6 +101,13 @@ class GocatorSession:
                 f"the Gocator's alignment changed during the run, from '{self.alignment}' to '{now}'; scans before and after cannot be "
                 "compared: keep others away from its web page, and start a new run"
             )
+
+    def exposure_set(self) -> str:
+        """Raises DeviceFault where somebody has changed other settings."""
+        before, now = self.configuration, self._read_configuration()
+        assert before is not None, "the session is open"
+        check_unchanged(before.scan_settings(), now.scan_settings())
+        return exposure_reported(now.exposure_us or 0.0, before.exposure_us)
 
     def set_exposure(self, exposure_us: float) -> None:
         """Write the exposure into the live job, if it is another one; a running sensor is stopped for it."""
@@ -201,7 +178,7 @@ class GocatorSession:
         """Name of the job that is loaded now."""
         try:
             return self.files.loaded_job()
-        except (SensorRefused, MbcacqError):
+        except (SensorRefused, ProtocolError):
             return "live"
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -25,35 +26,19 @@ from mbcacq.devices import (
     ProtocolError,
     Scan,
 )
+from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.named_errors import named
-from mbcacq_gocator.profiles import ProfileSource, ProfileStream
+from mbcacq_gocator.request_connection import RequestConnection
+from mbcacq_gocator.sensor_session import ProfileStream, SensorSession
 from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 FINEST_US = 0.51  # a sensor may keep whole microseconds
-RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
+_RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
 _EXPOSURES = 3  # of one scan, until two lay their points out alike
+_log = logging.getLogger("mbcacq.gocator")
 
 
-class Session(ProfileSource, Protocol):
-    """A connection to a sensor, with what has been agreed over it.
-
-    exposure: see ``exposure_reported``. geometry: scale, offset and size of the last scan, as its message says them.
-    """
-
-    exposure: str
-    geometry: tuple[object, ...]
-
-    def job(self) -> str:
-        """Name of the job that is loaded now."""
-        ...
-
-    @property
-    def has_ended(self) -> bool: ...
-
-    def close(self) -> None: ...
-
-
-S = TypeVar("S", bound=Session)
+S = TypeVar("S", bound=SensorSession[Any])
 
 
 def exposure_reported(reported_us: float, wanted_us: float | None) -> str:
@@ -70,6 +55,7 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
     def __init__(self, name: str, model: str, options: SnapshotOptions, mode: str, description: Description) -> None:
         self.name, self.model = name, model
         self._exposure_us, self._description = options.exposure_us, description
+        self._guard = HealthGuard(options.temperature_warning_C, options.temperature_stop_C)
         self._mode, self._timeout_s = mode, options.timeout_s
         self._stream: ProfileStream | None = None
         self._cancel = threading.Event()
@@ -92,8 +78,42 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
 
     @abstractmethod
     def _restore(self) -> None:
-        """Put back what was changed, over the connection that stands, or a new one where it was cut. A setting that cannot be put back is
-        reported, not raised."""
+        """Put back what was changed."""
+
+    def _put_back(
+        self, place: Any, kind: Callable[..., RequestConnection], put_back: Callable[[Any], None], what: str = "its settings"
+    ) -> None:
+        """Over the connection that stands, or a new one where it was cut. What cannot be put back is reported, not raised.
+
+        place: options with the address of the sensor. kind: of its control connection.
+        """
+        control = None if self._session is None else self._session.control
+        try:
+            if control is not None and control.is_open:
+                with suppress(ConnectError, DeviceTimeout, ProtocolError):
+                    return put_back(control)
+            limit_s = min(place.reply_limit_s or _RESTORE_REPLY_S, _RESTORE_REPLY_S)
+            spare = kind(place.address, place.control_port, _RESTORE_CONNECT_S, limit_s)
+            try:
+                spare.open()
+                put_back(spare)
+            finally:
+                spare.close()
+        except MbcacqError as error:
+            _log.warning("scanner '%s': %s could not be put back as they were: %s", self.name, what, error)
+
+    def stop(self) -> None:
+        self._cancel.set()
+
+    def close(self) -> None:
+        """Stop, put job and settings back as they were found, release everything."""
+        self.stop()
+        self._wanted = False
+        with self._one_capture:
+            try:
+                self._restore()
+            finally:
+                self._drop()
 
     def connect(self) -> None:
         """Raises ConnectError, IdentityError, ConfigError (job, exposure, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
@@ -109,13 +129,14 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         return self._description
 
     def facts(self) -> tuple[Fact, ...]:
-        """Values at the last exposure."""
+        """Values at the last exposure, or the end of the last stream."""
         return self._facts
 
     def _read_facts(self, session: S) -> tuple[Fact, ...]:
         about = self._description
         identity = Fact("serial number", about.serial), Fact("firmware", about.firmware, critical=False)
-        return Fact("job", session.job()), Fact("exposure", session.exposure), *identity
+        exposure = session.exposure_set() if self._mode == "profile" else session.exposure
+        return Fact("job", session.job()), Fact("exposure", exposure), *identity
 
     def capture(self, exposure_us: float | None = None) -> Scan:
         """Expose as the options say, over a new connection where the sensor has closed the last one meanwhile.
@@ -182,6 +203,8 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
         if self._stream is not None:
             with self._streaming():
                 self._stream.end()
+                if self._session is not None:
+                    self._facts = self._read_facts(self._session)
 
     @contextmanager
     def _streaming(self) -> Iterator[None]:

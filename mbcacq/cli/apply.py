@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.errors import ConfigError
 from mbcacq.quantities import K, uncertainty
 
 if TYPE_CHECKING:
@@ -45,7 +46,6 @@ def command(
     Example: mbcacq apply result.json clouds --poses flange.csv --orientation kuka
     """
     from mbcacq.calibration.result_io import with_warnings
-    from mbcacq.errors import ConfigError
     from mbcacq.exports.result_json import load_result
     from mbcacq.workflow import arm_positions
     from mbcacq.workflow.load import unsealed_note
@@ -60,7 +60,7 @@ def command(
         positions, matched = arm_positions.positions_in(poses, known, clouds, orientation)
     else:
         clouds = [cloud]
-        positions = [arm_positions.typed_joints(joints) if joints is not None else arm_positions.typed_flange(flange or "", orientation)]
+        positions = [arm_positions.typed_flange(flange or "", orientation) if joints is None else arm_positions.typed_joints(joints, known)]
     outputs = _outputs(clouds, out or cloud.with_name(f"{cloud.name}_base"), force) if poses else _output(cloud, out, force)
     placed = []
     with StepProgress() as steps:
@@ -93,8 +93,6 @@ def _output(cloud: Path, out: Path | None, force: bool) -> list[Path]:
 
 def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
     """The files of several clouds in a folder, which is made. Raises ConfigError where two are one, or one is there."""
-    from mbcacq.errors import ConfigError
-
     made = [path for one in clouds for path in _output(one, folder / f"{one.stem}_base.ply", force)]
     if twice := next((path for path in made if made.count(path) > 1), None):
         raise ConfigError(f"two clouds would become {twice}; rename one")

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -70,9 +72,7 @@ def command(
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
-    import mbcacq
     from mbcacq.calibration.result_io import of_flange_poses
-    from mbcacq.errors import ConfigError
     from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve, joint_content
 
     options = mbcacq.CalibrationOptions(
@@ -96,8 +96,7 @@ def command(
     first, *others = data
     if others and (split or with_map or l_curve):
         raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
-    with StepProgress() as progress:
-        progress.begin("reading the recording and calibrating")
+    with StepProgress("reading the recording and calibrating"):
         if others:
             result = joint_content(data, options, **known)
         else:

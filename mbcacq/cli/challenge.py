@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from rich import box
 from rich.table import Table
 
 from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 # Headings of the table where they differ from the keys of its rows: broken so that all ten fit 80 columns.
 SHORT = {
@@ -56,7 +58,6 @@ def command(
     from mbcacq.challenge.run import Outcome, take_all
     from mbcacq.challenge.scenarios import draw, kinds
     from mbcacq.challenge.table import line, summary
-    from mbcacq.errors import ConfigError
     from mbcacq.model import shipped
 
     if protocols and outliers:
@@ -84,8 +85,6 @@ def command(
 
 
 def table_of(rows: list[dict]) -> Table:
-    from rich import box
-
     from mbcacq.challenge.table import COLUMNS, cells
 
     table = Table(box=box.HORIZONTALS, padding=(0, 0), pad_edge=False, collapse_padding=True)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import mbcacq
 from mbcacq.cli.calibrate import answer_of_run
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.signals import end_in_order_on_signals
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-
-if TYPE_CHECKING:
-    pass
+from mbcacq.errors import ConfigError
 
 
 @subcommand("collect")
@@ -39,10 +39,7 @@ def command(
       mbcacq collect my-cell.yaml --clouds clouds --joints mbcacq_poses.csv
       mbcacq collect my-cell.yaml --clouds more-clouds --resume latest
     """
-    import mbcacq
     from mbcacq.cli.progress import RunProgress
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.cli.step_progress import StepProgress
     from mbcacq.plan import load
     from mbcacq.spheres.cloud_files import CloudFormat
 
@@ -73,8 +70,6 @@ def command(
 
 def scale_of(given: object) -> tuple[float, float, float, float] | None:
     """Four numbers of a range map, as text or a list. Raises ConfigError."""
-    from mbcacq.errors import ConfigError
-
     if given is None:
         return None
     words = given.replace(",", " ").split() if isinstance(given, str) else given

@@ -6,10 +6,12 @@ from pathlib import Path
 
 from rich.table import Table
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.cli.terminal import titled_table
 from mbcacq.errors import ConfigError
 
 
@@ -34,8 +36,6 @@ def command(
       mbcacq compare runs/today
       mbcacq compare runs/monday runs/friday --report changes.html
     """
-    import mbcacq
-
     if other is not None:
         return _changes(data, other, report)
     if report is not None:
@@ -44,10 +44,9 @@ def command(
     with StepProgress() as progress:
         progress("reading the recording")
         rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed, progress=progress)
-    table = Table(title=f"{data} (mm)", title_justify="left")
-    table.add_column("method")  # a long name takes two lines, so that all fits 80 columns
-    for name in ("fit rms", "bar mean", "bar max", "held-out", "time s"):
-        table.add_column(name, justify="right", no_wrap=True)
+    # A long name of a method takes two lines, so that all fits 80 columns.
+    headings = ("method", "fit rms", "bar mean", "bar max", "held-out", "time s")
+    table = titled_table(f"{data} (mm)", *headings, left=["method"], no_wrap=True)
     for row in rows:
         values = (row.fit_mm, row.bar_mean_mm, row.bar_max_mm, row.held_out_mm)
         shown = [f"{v:.4f}" if v is not None else "-" for v in values]
@@ -75,11 +74,7 @@ def _changes(first: Path, second: Path, report: Path | None) -> Answer:
         if report is not None:
             progress("drawing the page")
             write_page(found, report)
-    table = Table(title="± U, k = 2; ! is beyond chance", title_justify="left")
-    table.add_column("")
-    for name in ("before", "after", "change"):
-        table.add_column(name, justify="right")
-    table.add_column("unit")
+    table = titled_table("± U, k = 2; ! is beyond chance", "", "before", "after", "change", "unit", left=["", "unit"])
     for marked, name, *shown in found.table:
         table.add_row(f"{'! ' * marked}{name}", *(text.replace(" ± ", "\n± ") for text in shown))
     lines = [f"{found.robot}: {first} (before), {second} (after)", table, *found.sentences, found.how]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
@@ -34,12 +35,10 @@ def command(
 
     Example: mbcacq correct weld.dat --with runs/today
     """
-    import mbcacq
     from mbcacq.calibration.result_io import with_warnings
     from mbcacq.workflow.load import as_result, unsealed_note
 
-    with StepProgress() as steps:
-        steps.begin("looking for joint angles that reach the nominal places")
+    with StepProgress("looking for joint angles that reach the nominal places"):
         done = mbcacq.correct(program, result, out, force=force, simulated_anyway=simulated_anyway)
     warnings = [*with_warnings(as_result(result)), *unsealed_note(result)]
     return Answer(done.to_dict(), lines_of(done), judge_first(result), warnings, done.notes)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+import mbcacq
 from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
@@ -15,9 +15,6 @@ from mbcacq.cli.terminal import echo
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
-
-if TYPE_CHECKING:
-    import mbcacq
 
 
 @subcommand("diagnose")
@@ -89,7 +86,6 @@ def command(
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
       mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
     """
-    import mbcacq
     from mbcacq.effects.catalogue import with_added
     from mbcacq.recording.rrd.reader import opened_once
     from mbcacq.workflow.load import is_run_folder
@@ -158,8 +154,6 @@ def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
 
 def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
     """Write the next measurements as a plan, and say what they are for."""
-    import mbcacq
-
     if len(data) != 1:
         raise ConfigError("the next measurements extend one run; give one with --next")
     planned = mbcacq.next_plan(data[0], file)

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+import mbcacq
 from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath, folder_of, judge_first
@@ -41,7 +42,6 @@ def command(
     output: Path | None = option("With --artefact: the file to write.", FILE),
 ) -> Answer:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
-    import mbcacq
     from mbcacq.workflow.export import export_artefact
 
     targets = mbcacq.Targets(
@@ -56,8 +56,7 @@ def command(
     )
     wanted = {"observations": observations, "trajectory": trajectory, "results": results}
     written = []
-    with StepProgress() as steps:
-        steps.begin("reading and writing")
+    with StepProgress("reading and writing"):
         if artefact is None or any(wanted.values()):
             written += mbcacq.export(run, scans=scans, targets=targets, force=force, simulated_anyway=simulated_anyway, **wanted)
         if artefact is not None:

@@ -11,6 +11,7 @@ from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 
 @subcommand("fakes")
@@ -27,13 +28,11 @@ def command(
     """
     from mbcacq.acquisition.device_check import refuse_impossible_devices
     from mbcacq.devices import load_driver
-    from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
 
     loaded = load(plan)
     refuse_impossible_devices(loaded)
-    with StepProgress() as steps:
-        steps.begin("looking for postures that reach every pose")
+    with StepProgress("looking for postures that reach every pose") as steps:
         poses = expand(loaded)
         if program is not None or clouds is not None:
             if program is None or clouds is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+import mbcacq
 from mbcacq.cli.declared import FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
@@ -37,8 +38,6 @@ def command(
       mbcacq fleet runs/ --out fleet --scheduler tcp://cluster:8786
       mbcacq calibrate next-arm --prior fleet
     """
-    import mbcacq
-
     task = mbcacq.FleetTask(diagnose=diagnose, verify="" if verify is None else str(verify.absolute()), place=place)
     with FleetProgress() as progress:
         found = mbcacq.evaluate_fleet(runs, out, task=task, workers=workers, scheduler=scheduler, progress=progress)

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+import mbcacq
 from mbcacq.cli.data import ABOVE_ZERO, BoardSaid
 from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,7 +52,6 @@ def command(
     """
     from mbcacq.camera.intrinsics import read_intrinsics
     from mbcacq.devices.terminal_input import typed_line
-    from mbcacq.errors import ConfigError
     from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
     from mbcacq.recording.datasets.loose_table import TableOptions
     from mbcacq.workflow.hand_eye import HandEyeSession
@@ -148,9 +149,7 @@ def _flange(T_base_flange: np.ndarray | None, convention: str | None) -> str:
 
 def _ended(session: HandEyeSession) -> Answer:
     """Write the observation set; its calibration. Raises CalibrationError where the views are too few."""
-    import mbcacq
     from mbcacq.cli.calibrate import lines_of
-    from mbcacq.errors import CalibrationError
     from mbcacq.files.atomic_write import write_file
     from mbcacq.model.json_text import sealed_text
     from mbcacq.workflow.calibrate import calibration_content

@@ -6,11 +6,14 @@ from pathlib import Path
 
 import click
 
+import mbcacq
 from mbcacq.cli.calibrate import lines_of
 from mbcacq.cli.declared import Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import command_line, forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.signals import end_in_order_on_signals
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.model.json_text import fields_as_json
 
@@ -40,18 +43,9 @@ def command(
       mbcacq investigate my-cell.yaml --arm --poses 64 --moves 12
       mbcacq investigate --from runs/2026-11-21T10-00-00_my-cell --arm
     """
-    import mbcacq
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.cli.step_progress import StepProgress
-
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = motion.operator(
-        steps,
-        began=lambda folder: on_failure(
-            "go on where it ended", command_line("investigate", *motion.repeated, "--resume", folder), folder / "run.rrd"
-        ),
-    )
+    operator = motion.operator(steps, "go on where it ended", "investigate", *motion.repeated, "--resume")
     budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:
         going = mbcacq.investigate(

@@ -13,6 +13,7 @@ from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.cli.terminal import titled_table
 
 if TYPE_CHECKING:
     from mbcacq.workflow.merge_scans import MergedPart
@@ -68,9 +69,8 @@ def command(
 def _shown(done: MergedPart) -> Iterator[str | Table]:
     found = done.agreement
     yield found.sentence
-    table = Table(title=f"worst of {len(found.pairs)} overlaps, 3D rms in mm (expected: k = 1)", title_justify="left")
-    for heading in ("poses", *found.names, "expected", "not determined"):
-        table.add_column(heading, justify="left" if heading in ("poses", "not determined") else "right")
+    title = f"worst of {len(found.pairs)} overlaps, 3D rms in mm (expected: k = 1)"
+    table = titled_table(title, "poses", *found.names, "expected", "not determined", left=["poses", "not determined"])
     best = found.names[-1]
     for pair in sorted(found.pairs, key=lambda one: -one.by_placement[best] / one.expected_mm)[:SHOWN]:
         values = [f"{pair.by_placement[name]:.3f}" for name in found.names]

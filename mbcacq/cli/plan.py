@@ -17,8 +17,8 @@ from mbcacq.cli.plan_design import design
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.plan_program import program
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
-from mbcacq.errors import ExitCode
+from mbcacq.cli.terminal import echo, titled_table
+from mbcacq.errors import ConfigError, ExitCode
 
 LONGEST_TRACK_MM = 1e5
 COLOURS = {"error": "red", "warning": "yellow", "info": "cyan"}
@@ -54,7 +54,6 @@ def new(
       mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact mbc-8
     """
     from mbcacq.design.new_plan import NewPlanOptions
-    from mbcacq.errors import ConfigError
     from mbcacq.model import shipped
     from mbcacq.workflow.new_plan import new_plan
 
@@ -93,8 +92,7 @@ def show(
     from mbcacq.plan.summary import summary
 
     loaded = load(plan)
-    with StepProgress() as steps:
-        steps.begin("looking for postures that reach every pose")
+    with StepProgress("looking for postures that reach every pose") as steps:
         poses = expand(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
@@ -131,8 +129,7 @@ def check(
     loaded = load(plan)
     if fix:
         loaded = _fixed(loaded, plan)
-    with StepProgress() as steps:
-        steps.begin("looking for postures that reach every pose")
+    with StepProgress("looking for postures that reach every pose") as steps:
         poses, _ = expand_reachable(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
@@ -173,9 +170,8 @@ def _fixed(loaded: Any, plan: Path) -> Any:
 
 
 def _steps(content: dict[str, Any]) -> Table:
-    table = Table(title=content["name"], title_justify="left")
-    for name in ("step", "phase", "stations", "poses", "exposures"):
-        table.add_column(name, justify="right" if name in ("poses", "exposures") else "left")
+    words = ("step", "phase", "stations")
+    table = titled_table(content["name"], *words, "poses", "exposures", left=words)
     for step in content["steps"]:
         table.add_row(step["name"], step["phase"], " ".join(step["stations"]), str(step["poses"]), str(step["exposures"]))
     return table

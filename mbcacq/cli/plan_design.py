@@ -12,7 +12,7 @@ from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
-from mbcacq.cli.terminal import echo
+from mbcacq.cli.terminal import echo, titled_table
 from mbcacq.errors import ConfigError
 from mbcacq.quantities import significant
 
@@ -83,8 +83,7 @@ def design(
     loaded, repairs = repaired(load(plan))
     for sentence in repairs:
         echo(sentence, err=True)
-    with StepProgress() as steps:
-        steps.begin("choosing views by what the calibration learns from them")
+    with StepProgress("choosing views by what the calibration learns from them") as steps:
         result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
         from mbcacq.files.atomic_write import write_file
 
@@ -112,20 +111,26 @@ def refuse_taken(target: Path, force: bool, beside: Path | None = None) -> None:
         raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {beside}")
 
 
+def write_whole(text: str, out: Path) -> None:
+    """Write a plan, none of whose poses has an error."""
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.plan import expand, load, refuse_errors
+
+    new = load(out, text)
+    refuse_errors(new, expand(new))
+    write_file(out, text)
+
+
 def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Choose views of a part, write the plan, and say what they show."""
     from mbcacq.design.part_coverage import design_part
-    from mbcacq.files.atomic_write import write_file
     from mbcacq.files.mesh_file import read_mesh
-    from mbcacq.plan import expand, load, refuse_errors
+    from mbcacq.plan import load
 
     refuse_taken(out, force, beside=plan)
-    with StepProgress() as steps:
-        steps.begin("choosing views by the surface that they show")
+    with StepProgress("choosing views by the surface that they show"):
         found = design_part(load(plan), None if part == Path() else read_mesh(part), tilt, seed)
-        new = load(out, found.text)
-        refuse_errors(new, expand(new))
-        write_file(out, found.text)
+        write_whole(found.text, out)
     figures = {"views": found.views, "covered": found.covered, "visible": found.visible, "tried": found.tried}
     return Answer(
         {"format": "mbcacq-part-design/1", "plan": str(out), **figures},
@@ -140,16 +145,12 @@ def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force:
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Order a plan, write it, and say what its blocks carry."""
     from mbcacq.design.adaptive.plan_order import ordered
-    from mbcacq.files.atomic_write import write_file
-    from mbcacq.plan import expand, load, refuse_errors
+    from mbcacq.plan import load
 
     refuse_taken(out, force, beside=plan)
-    with StepProgress() as steps:
-        steps.begin("leaving out what is missed least, pose by pose")
+    with StepProgress("leaving out what is missed least, pose by pose"):
         found = ordered(load(plan), count, tilt, seed)
-        new = load(out, found.text)
-        refuse_errors(new, expand(new))
-        write_file(out, found.text)
+        write_whole(found.text, out)
     ends = [sum(found.blocks[: k + 1]) for k in range(len(found.blocks))]
     shares = dict(zip(map(str, ends), found.shares, strict=True))
     lines = [
@@ -175,9 +176,7 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
     write_file(out, found.table())
     std = {name: {"before": float(b), "after": float(a)} for name, b, a in zip(found.names, found.before, found.after, strict=True)}
     correlation = {"before": dict(found.correlation_before), "after": dict(found.correlation_after)}
-    table = Table(title="expected standard deviations", title_justify="left")
-    for name in ("parameter", "recorded", "with this motion"):
-        table.add_column(name, justify="left" if name == "parameter" else "right")
+    table = titled_table("expected standard deviations", "parameter", "recorded", "with this motion", left=["parameter"])
     for name, of in std.items():
         table.add_row(name, significant(of["before"], 2), significant(of["after"], 2))
     lines: list[str | Table] = [table]
@@ -191,9 +190,7 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
 
 
 def _comparison(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="expected and simulated accuracy", title_justify="left")
-    for name in ("", "given", "designed"):
-        table.add_column(name, justify="left" if not name else "right")
+    table = titled_table("expected and simulated accuracy", "", "given", "designed", left=[""])
     shown = {
         "poses": "calibration poses",
         "expected_bar_mean_mm": "error of certified distances, expected mean, mm",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,6 @@ class PlanPath(click.Path):
 
 def _near(missing: Path) -> Path | None:
     """The plan that is called almost the same: in the folder of the one that is missing, or of those that came with the tool."""
-    from difflib import get_close_matches
-
     from mbcacq.model import shipped
 
     beside = {file.stem: file for file in missing.parent.glob("*.yaml")} if missing.parent.is_dir() else {}

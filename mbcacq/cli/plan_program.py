@@ -41,8 +41,7 @@ def program(
     from mbcacq.workflow.controller_files import write
     from mbcacq.workflow.robot_program import robot_program
 
-    with StepProgress() as steps:
-        steps.begin("checking every pose and every motion between them")
+    with StepProgress("checking every pose and every motion between them"):
         loaded = load(plan)
         trigger = Trigger(wait, output, exposure_s=loaded.plan.scanner.scan_time_s + 1.0 if exposure is None else exposure)
         done = frozenset[int]() if resume is None else poses_done(resume)

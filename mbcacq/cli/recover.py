@@ -35,8 +35,7 @@ def command(
     end_in_order_on_signals("the recovery")
     if check:
         return checked(recording)
-    with StepProgress() as steps:
-        steps.begin("reading what is whole")
+    with StepProgress("reading what is whole"):
         found = recover(recording)
     recordings = [fields_as_json(item) | {"damaged": item.damaged} for item in found]
     then = "calibrate with what is there", command_line("calibrate", recording if recording.is_dir() else found[-1].output)
@@ -57,8 +56,7 @@ def checked(recording: Path) -> Answer:
     """What is not as it was written. Its end raises RecordingError if there is anything."""
     from mbcacq.recording.run_folder.check import check
 
-    with StepProgress() as steps:
-        steps.begin("comparing the recording with its checksums")
+    with StepProgress("comparing the recording with its checksums"):
         found = check(recording)
     lines = []
     for file in found:

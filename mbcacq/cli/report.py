@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
@@ -30,8 +31,6 @@ def command(
       mbcacq report latest --pdf
       mbcacq report ur5-tracker --diagnose --out ur5.html
     """
-    import mbcacq
-
     if pdf and out is None and run.is_dir():
         out = run / "report.pdf"
     if pdf and out is not None and out.suffix.lower() != ".pdf":
@@ -46,7 +45,7 @@ def next_step(run: Path) -> tuple[str, str]:
     """What to do after a report, and the command for it."""
     from mbcacq.recording.run_folder.register import RunKind, kind_of
     from mbcacq.report.sources.check_result import read_check_result
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS
+    from mbcacq.report.sources.run_folder import WITH_EFFECTS, read_kept_findings
     from mbcacq.workflow.load import as_observations, is_run_folder
 
     if is_run_folder(run) and kind_of(run) is RunKind.CHECK:
@@ -54,8 +53,9 @@ def next_step(run: Path) -> tuple[str, str]:
         return what, command
     if not is_run_folder(run) and as_observations(run).cell.robot.of_flange_poses:
         return "hold the usual methods for the hand-eye transformation against it", command_line("compare", run)
-    if not (run / "diagnosis.json").exists():
+    kept = read_kept_findings(run)
+    if "diagnosis" not in kept:
         return "ask which effects the model lacks", command_line("diagnose", run)
-    if not (run / WITH_EFFECTS / "result.json").exists():
+    if "with_effects" not in kept and kept["diagnosis"].get("model"):
         return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
-    return put_to_use(run / WITH_EFFECTS)
+    return put_to_use(run / WITH_EFFECTS if "with_effects" in kept else run)

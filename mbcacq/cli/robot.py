@@ -60,8 +60,7 @@ def import_(
             arguments=given,
         )
 
-    with StepProgress() as steps:
-        steps.begin(f"reading {file.name} and comparing it at random postures")
+    with StepProgress(f"reading {file.name} and comparing it at random postures"):
         found = read(base, flange)
     is_table = file.suffix.lower() in (".csv", ".yaml", ".yml")
     if sys.stdin.isatty() and not as_json and not is_table and (base is None or flange is None):

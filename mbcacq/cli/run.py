@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+import mbcacq
 from mbcacq.cli.calibrate import answer_of_run
 from mbcacq.cli.declared import Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.signals import end_in_order_on_signals
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import printable
 
 if TYPE_CHECKING:
@@ -45,10 +48,6 @@ def command(
       mbcacq run --arm --resume runs/2026-11-21T10-00-00_my-cell
       mbcacq run next.yaml --arm --extend runs/2026-11-21T10-00-00_my-cell
     """
-    import mbcacq
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.cli.step_progress import StepProgress
-
     end_in_order_on_signals()
     if extend is not None and (resume is not None or out is not None or again):
         raise click.UsageError("--extend goes on in the folder of a finished run; leave --resume, --out and --again out")
@@ -56,9 +55,7 @@ def command(
     steps = StepProgress()
     operator = motion.operator(
         steps,
-        began=lambda folder: on_failure(
-            "go on where it ended", command_line("run", *motion.repeated, "--resume", folder), folder / "run.rrd"
-        ),
+        *("go on where it ended", "run", *motion.repeated, "--resume"),
         artefact_moved=lambda station: False if motion.dry_run or motion.yes else ask_whether_moved(station),
     )
     with steps:

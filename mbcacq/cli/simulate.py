@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mbcacq
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
@@ -31,7 +32,6 @@ def command(
       mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/
       mbcacq simulate recorded-motion/ --out twin/           a rigid arm, moving
     """
-    import mbcacq
     from mbcacq.recording.datasets.observation_set import write_observation_set
     from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 
@@ -40,14 +40,12 @@ def command(
     if is_trajectory_set(plan):
         if result is not None or noise:
             raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
-        with StepProgress() as steps:
-            steps.begin("computing what would be recorded")
+        with StepProgress("computing what would be recorded"):
             samples = write_motion(plan, out)
         document = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
         then = "compare the recording with it", command_line("diagnose", plan, "--simulation", out)
         return Answer(document, [f"{samples} samples written to {out}"], then)
-    with StepProgress() as steps:
-        steps.begin("computing what would be recorded")
+    with StepProgress("computing what would be recorded"):
         observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
         write_observation_set(observations, out)
     poses, centres = observations.n_poses, observations.n_centres
@@ -58,7 +56,6 @@ def command(
 
 def write_motion(trajectory: Path, out: Path) -> int:
     """Write what an ideal arm would have recorded along the motion of a trajectory set; the number of samples."""
-    import mbcacq
     from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
     from mbcacq.workflow.simulate import simulate_motion
 

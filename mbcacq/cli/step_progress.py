@@ -31,10 +31,11 @@ def shortened(text: str, columns: int) -> str:
 class StepProgress:
     """Call it with a sentence at the begin of each step; use it as a context. A sentence that ends with 'k of n' is counted: the time
     left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each step is a line; every tenth of
-    many counted ones has one. An empty sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
+    many counted ones has one. An empty sentence ends the steps: the terminal belongs to somebody else, and no signal comes. ``first`` is
+    the step at which the context begins, named only when it takes long."""
 
-    def __init__(self, quiet: bool = False) -> None:
-        self._quiet, self._terminal = quiet, sys.stderr.isatty()
+    def __init__(self, first: str = "") -> None:
+        self._first, self._terminal = first, sys.stderr.isatty()
         self._text, self._began, self._counting_since = "", 0.0, 0.0
         self._count: tuple[int, int] | None = None
         self._written = 0
@@ -49,8 +50,7 @@ class StepProgress:
         """A step that has a line of its own, which stays; the same step again has none."""
         if text != self._text:
             self.clear()
-            if not self._quiet:
-                echo(text, err=True)
+            echo(text, err=True)
         self.begin(text)
         self._said = True
 
@@ -70,10 +70,11 @@ class StepProgress:
     def __enter__(self) -> StepProgress:
         in_main = threading.current_thread() is threading.main_thread()
         free = hasattr(signal, "SIGALRM") and signal.getsignal(signal.SIGALRM) == signal.SIG_DFL  # else the alarm is somebody else's
-        self._timed = free and in_main and not self._quiet
+        self._timed = free and in_main
         if self._timed:
             signal.signal(signal.SIGALRM, lambda *_: self._tick())
             signal.siginterrupt(signal.SIGALRM, False)
+        self.begin(self._first)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -112,8 +113,6 @@ class StepProgress:
 
     def _say(self, text: str) -> None:
         self._said = True
-        if self._quiet:
-            return
         if not self._terminal:
             echo(text, err=True)
             return

@@ -10,6 +10,7 @@ from rich.table import Table
 from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.result_io import ONE_VIEW, axes_of, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
+from mbcacq.cli.terminal import titled_table
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import link_parameters
@@ -37,10 +38,8 @@ from mbcacq.report.sources.images import camera_rows, image_rows
 def parameters(result: dict[str, Any]) -> Table:
     """Identified MD-H errors with expanded uncertainties, one row a link, as the paper's Table 1."""
     rows = {p["name"]: p for p in result["parameters"]}
-    table = Table(title=f"{result['robot']['name']}: MD-H errors, ± U (k = 2)", title_justify="left")
-    table.add_column("axis")
-    for name in ("θ / °", "d / mm", "a / mm", "α / °", "β / °"):
-        table.add_column(name, justify="right")
+    headings = ("axis", "θ / °", "d / mm", "a / mm", "α / °", "β / °")
+    table = titled_table(f"{result['robot']['name']}: MD-H errors, ± U (k = 2)", *headings, left=["axis"])
     axes, names = axes_of(result), iter(link_parameters(axes_of(result)))
     for axis in axes:
         table.add_row(axis, *(_cell(rows.get(next(names))) for _ in PARAMETERS))
@@ -118,36 +117,32 @@ def fixed_scanners(result: dict[str, Any]) -> list[Table]:
         return []
     out = []
     for station in result["stations"]:
-        table = Table(title=f"instrument '{station['id']}' in the base, ± U (k = 2)", title_justify="left")
         std = station["std"]
         turn = [None] * 3 if result.get("length_instrument") else std[:2:-1]  # of one that measures distances there is none
-        _frame_rows(table, station["T_base_station"], [*std[:3], *turn])
-        out.append(table)
+        out.append(_frame_table(f"instrument '{station['id']}' in the base", station["T_base_station"], [*std[:3], *turn]))
     return out
 
 
-def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> None:
+def _frame_table(what: str, T: list[list[float]], std: list[float | None]) -> Table:
     """The frame, and its expanded uncertainties below it.
 
     std: (6,) standard deviations in mm and rad, None where held. Those of the rotation are about the frame's z, y, x axes, near enough to
     A, B, C for reading.
     """
     xyz, abc = se3.to_abc(np.array(T))
-    for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
-        table.add_column(f"{name} / {unit}", justify="right")
+    table = titled_table(f"{what}, ± U (k = 2)", "X / mm", "Y / mm", "Z / mm", "A / °", "B / °", "C / °")
     scaled = [(v, s, 1.0) for v, s in zip(xyz, std[:3], strict=True)]
     scaled += [(in_degrees(v), s, in_degrees(1.0)) for v, s in zip(abc, std[3:], strict=True)]
     shown = [(fixed(v, 4), "held") if s is None else pair(v, K * scale * s) for v, s, scale in scaled]
     table.add_row(*(value for value, _ in shown))
     table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))
+    return table
 
 
 def hand_eye(result: dict[str, Any]) -> Table:
     std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
     what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
-    table = Table(title=f"{what}, ± U (k = 2)", title_justify="left")
-    _frame_rows(table, result["T_flange_scanner"], [std.get(f"hand_eye.{c}") for c in ("x", "y", "z", "rz", "ry", "rx")])
-    return table
+    return _frame_table(what, result["T_flange_scanner"], [std.get(f"hand_eye.{c}") for c in ("x", "y", "z", "rz", "ry", "rx")])
 
 
 def fit(result: dict[str, Any]) -> list[str]:
@@ -333,9 +328,8 @@ def verification(v: dict[str, Any]) -> Table:
 
     An error beyond what the calibration expects of itself is marked.
     """
-    table = Table(title="Sphere spacing error / mm, U with k = 2", title_justify="left")
-    for name in ("station", "balls", "certified", "before", "after", "U of judging", "U expected"):
-        table.add_column(name, justify="right", no_wrap=True)
+    headings = ("station", "balls", "certified", "before", "after", "U of judging", "U expected")
+    table = titled_table("Sphere spacing error / mm, U with k = 2", *headings, no_wrap=True)
     known = [p["judging_mm"] for p in v["places"] if p.get("judging_mm")]
     digits = max(decimal_places(K * min(known)), 0) if known else 3
     for p in v["places"]:

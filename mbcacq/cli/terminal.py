@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from textwrap import TextWrapper
 from typing import IO, TYPE_CHECKING, Any
 
@@ -18,25 +18,16 @@ import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 # Control characters but tab and line feed; marks that turn the direction of text; halves of characters, of undecodable file names.
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 # How quantities are written where the terminal has no such character.
-LETTERS = {
-    "µ": "u",
-    "±": "+-",
-    "°": " deg",
-    "·": "*",
-    "×": "x",
-    "–": "-",
-    "χ": "chi",
-    "²": "2",
-    "θ": "theta",
-    "α": "alpha",
-    "β": "beta",
-} | {sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)}
+LETTERS = dict(zip("µ±°·×–χ²θαβ", "u,+-, deg,*,x,-,chi,2,theta,alpha,beta".split(","), strict=True)) | {
+    sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)
+}
 
 
 def printable(text: str) -> str:
@@ -86,6 +77,16 @@ def console(**options: Any) -> Console:
     if shown.is_terminal:
         shown.soft_wrap = False  # long lines are broken between words, which a terminal would break anywhere
     return shown
+
+
+def titled_table(title: str, *headings: str, left: Collection[str] = (), no_wrap: bool = False) -> Table:
+    """A table with its title at the left. Columns of ``left`` hold words, the others numbers, which ``no_wrap`` keeps on one line."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=no_wrap and heading not in left)
+    return table
 
 
 def _encodable(text: str, stream: IO[str]) -> str:

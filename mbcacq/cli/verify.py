@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mbcacq
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import put_to_use
 from mbcacq.cli.run_path import RunPath
@@ -29,7 +30,6 @@ def command(
 
     Example: mbcacq verify result.json another-day --place fitted
     """
-    import mbcacq
     from mbcacq.workflow.load import unsealed_note
 
     found = []

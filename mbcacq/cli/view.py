@@ -7,8 +7,10 @@ from pathlib import Path
 from mbcacq.cli.declared import FOLDER, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError, RecordingError
 
 
 @subcommand("view")
@@ -31,8 +33,6 @@ def command(
 
     The viewer is started so that it reports no usage and looks for no update.
     """
-    from mbcacq.cli.signals import end_in_order_on_signals
-    from mbcacq.errors import ConfigError
     from mbcacq.recording.viewer import open_viewer
 
     end_in_order_on_signals("the viewer")
@@ -53,7 +53,6 @@ def command(
 
 def say_next_after(shown: Path) -> None:
     """What to do after a look at a recording; nothing where it is of a result or a diagnosis by itself, or of another program."""
-    from mbcacq.errors import RecordingError
     from mbcacq.recording.rrd import layout
     from mbcacq.recording.rrd.reader import Recording
     from mbcacq.workflow.load import is_run_folder

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from mbcacq.errors import ConfigError
 
@@ -15,12 +16,35 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options", bound=BaseModel)
 ONE_SIDED = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+MOST = {"s": 1e6, "kg": 5000.0, "deg": 36_000.0}  # by the unit in an option's name: 12 days, what the largest arms carry, 100 turns
+MOST_OF_ALL = 1e10  # serial numbers have 32 bits
 
 
 class DriverOptions(BaseModel):
-    """Base of every driver's options: an unknown option, NaN and infinity are refused, and nothing changes afterwards."""
+    """Base of every driver's options: an unknown option, NaN, infinity, a number that no device has and a text in its place are refused,
+    and nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _a_number(cls, value: Any, info: ValidationInfo) -> Any:
+        name = str(info.field_name)
+        if isinstance(value, str | bool) and _kind(cls.model_fields[name]) in (int, float):
+            raise PydanticCustomError("number", "Input should be a number")
+        most = MOST.get(name.rpartition("_")[2], MOST_OF_ALL)
+        if beyond := [number for number in _numbers(value) if abs(number) > most]:
+            raise ValueError(f"{beyond[0]:g} is beyond {most:g}, the most that any device has")
+        return value
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """Those in a value of an option."""
+    if isinstance(value, Mapping | list | tuple):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from _numbers(part)
+    elif isinstance(value, int | float):
+        yield value
 
 
 def parse_options(schema: type[Options], device: str, options: Mapping[str, Any], hidden: tuple[str, ...] = ()) -> Options:
@@ -55,11 +79,15 @@ def _fault(schema: type[BaseModel], error: Mapping[str, Any]) -> str:
     return f"{where} must be {wanted}, not {given!r}" if wanted else f"{where}: {error['msg']}, not {given!r}"
 
 
+def _kind(field: FieldInfo) -> Any:
+    """Its type where it has a value."""
+    kind: Any = field.annotation
+    return next(one for one in get_args(kind) if one is not NoneType) if get_origin(kind) in (Union, UnionType) else kind
+
+
 def _wanted(field: FieldInfo) -> str:
     """What a value should be, '' if it is neither a number nor a choice nor a text."""
-    kind: Any = field.annotation
-    if get_origin(kind) in (Union, UnionType):
-        kind = next(one for one in get_args(kind) if one is not NoneType)
+    kind = _kind(field)
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     if kind in (int, float):

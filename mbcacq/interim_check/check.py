@@ -22,6 +22,7 @@ from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, plann
 from mbcacq.interim_check.shown_figures import shown
 from mbcacq.interim_check.verdict import CheckVerdict, verdict_of
 from mbcacq.interim_check.words import sentence_of
+from mbcacq.model import shipped
 from mbcacq.model.json_text import digest, fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
@@ -134,11 +135,11 @@ class InterimCheck:
         tuple of str
             In words, and as a command.
         """
-        how = "--dry-run" if dry_run else "--arm"
+        how, name = "--dry-run" if dry_run else "--arm", shipped.plan_name(plan)
         kept = () if self.file == _history_file(result, None) else ("--history", self.file)
         if self.changed:
-            return "put right what changed, or calibrate anew", command_line("run", plan, how)
-        return "check again tomorrow, or after any work on the cell", command_line("check", result, plan, how, *kept)
+            return "put right what changed, or calibrate anew", command_line("run", name, how)
+        return "check again tomorrow, or after any work on the cell", command_line("check", result, name, how, *kept)
 
     def refuse_changed(self) -> None:
         """Raise an error if the cell changed.

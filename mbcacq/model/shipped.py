@@ -32,6 +32,11 @@ def plan_file(path: Path) -> Path:
     return folder() / f"{path.stem}.yaml" if path.stem in plans() else path
 
 
+def plan_name(path: Path) -> str:
+    """How a command names a plan: the tool's own by its name alone, any other by its path."""
+    return path.stem if path.is_absolute() and path.parent == folder() else str(path)
+
+
 def robots() -> list[str]:
     """Names of the robots, as ``model:`` of a trajectory set takes them."""
     return sorted(path.stem for path in (folder() / "robots").glob("*.yaml"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,6 @@ class Pages:
         runs = chosen(list(found.runs.values()), choice)
         running = [row for row in map(self.row, runs.locked) if row.progress.state in ("running", "uncertain")]
         rest = [run for run in runs.shown if all(run.key != row.found.key for row in running)]
-        history = ""
-        if choice.cell:
-            history = Markup(history_picture([self.row(run) for run in reversed(runs.shown)]))
         body = stream_template(
             "list.html.j2",
             running=running,
@@ -59,8 +56,8 @@ class Pages:
             choice=choice,
             runs=runs,
             kinds=[kind.value for kind in RunKind],
-            today=f"{datetime.now(UTC):%Y-%m-%d}",
-            history=history,
+            today=f"{datetime.now():%Y-%m-%d}",
+            history=lambda: Markup(history_picture([self.row(run) for run in reversed(runs.shown)])) if choice.cell else "",
             fleets=list(found.fleets.values()),
             left_out=found.left_out,
             token=self.guard.token,
@@ -121,14 +118,7 @@ class Pages:
 
 
 def create_application(root: Path, port: int) -> Flask:
-    """The application that shows the runs below a folder at 127.0.0.1:port.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be read.
-    """
-    find_runs(root)
+    """The application that shows the runs below a folder at 127.0.0.1:port."""
     app = Flask(__name__)
     app.jinja_options = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
     app.jinja_env.globals["root"] = str(root.absolute()).encode("utf-8", "replace").decode()

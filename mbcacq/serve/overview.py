@@ -35,7 +35,7 @@ class Overview:
     best : Mapping[str, Any]
         The result that the content is about, {} for none.
     started : str
-        Date and time of the recording, as text.
+        Date and time (UTC) of the recording, as text.
     simulated : bool
         The result is of simulated data.
     kind : RunKind
@@ -78,7 +78,7 @@ class Overviews:
 def read_overview(folder: Path) -> Overview:
     """The overview of a run. Damaged files are said, not raised; nothing is written."""
     identity = read_run_identity(folder)
-    started = str(identity.get("started", ""))[:16].replace("T", " ")
+    started = f"{identity['started'][:16].replace('T', ' ')} UTC" if identity.get("started") else ""
     content: Content | None = None
     best: Mapping[str, Any] = {}
     kind, check = kind_of(folder), None

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
+from functools import lru_cache
+from pathlib import Path
 
-from mbcacq.recording.run_folder.lock import lock_owner
+from mbcacq.recording.run_folder.lock import OWNER_FILE, lock_owner
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.serve.run_list import ListedFolder
+from mbcacq.serve.run_list import MOST, ListedFolder
 
 ON_A_PAGE = 50
 NAMED = re.compile(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)_(check-)?(.+)")  # as commands name the folder of a recording
@@ -22,13 +25,19 @@ def cell_of(run: ListedFolder) -> str:
 
 
 def time_of(run: ListedFolder) -> str:
-    """Date and time by the name of the folder; of another name, its last change (UTC)."""
+    """Local date and time, by the name of the folder; of another name, its last change."""
     if named := NAMED.fullmatch(run.folder.name):
         return f"{named[1]} {named[2]}:{named[3]}:{named[4]}"
     try:
-        return f"{datetime.fromtimestamp(run.folder.stat().st_mtime, UTC):%Y-%m-%d %H:%M:%S}"
+        return f"{datetime.fromtimestamp(run.folder.stat().st_mtime):%Y-%m-%d %H:%M:%S}"
     except (OSError, OverflowError, ValueError):
         return ""
+
+
+@lru_cache(maxsize=MOST)
+def _kind_since(folder: Path, changed_ns: int) -> RunKind:
+    """The kind of a recording; read again once a file of it was written."""
+    return kind_of(folder)
 
 
 @dataclass(frozen=True)
@@ -52,7 +61,7 @@ class RunChoice:
         return (
             all(word in said for word in self.words.lower().split())
             and self.cell in ("", cell_of(run))
-            and (not self.kind or kind_of(run.folder) == self.kind)
+            and (not self.kind or _kind_since(run.folder, run.changed_ns) == self.kind)
         )
 
     def at(self, page: int) -> RunChoice:
@@ -80,11 +89,8 @@ def chosen(runs: list[ListedFolder], choice: RunChoice) -> ChosenRuns:
     """Without reading more of a run than its name, its lock, and its kind where one is asked for."""
     times = {run.key: time_of(run) for run in runs}
     fitting = sorted((r for r in runs if choice.fits(r, times[r.key])), key=lambda r: (times[r.key], r.name), reverse=True)
-    cells: dict[str, int] = {}
-    for run in runs:
-        cells[cell_of(run)] = cells.get(cell_of(run), 0) + 1
     pages = max(-(-len(fitting) // ON_A_PAGE), 1)
     first = ON_A_PAGE * (min(choice.page, pages) - 1)
-    several = {name: count for name, count in sorted(cells.items(), key=lambda one: -one[1]) if count > 1}
-    locked = [run for run in runs if lock_owner(run.folder) is not None]
+    several = {name: count for name, count in Counter(map(cell_of, runs)).most_common() if count > 1}
+    locked = [run for run in runs if OWNER_FILE in run.files and lock_owner(run.folder) is not None]
     return ChosenRuns(fitting[first : first + ON_A_PAGE], locked, several, len(fitting), pages)

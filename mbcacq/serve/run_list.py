@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
@@ -20,11 +21,14 @@ RUN_FILES = (layout.JOURNAL_FILE, "result.json", "diagnosis.json", PLAN)
 
 @dataclass(frozen=True)
 class ListedFolder:
-    """key: stands for the folder in addresses; name: of the folder, below the one that is served, as text that can be shown."""
+    """key: stands for the folder in addresses; name: of the folder, below the one that is served, as text that can be shown; files: names
+    of those in it; changed_ns: when one of them came, went or was replaced."""
 
     key: str
     name: str
     folder: Path
+    files: frozenset[str]
+    changed_ns: int
 
 
 @dataclass(frozen=True)
@@ -45,36 +49,29 @@ def find_runs(root: Path) -> RunList:
         os.scandir(root).close()
     except OSError as error:
         raise ConfigError(f"{root} cannot be read as a folder of runs: {error.strerror}; give the folder that holds them") from None
-    runs, fleets, count = [], [], 0
-    for folder, names in _folders(root, DEPTH):
-        count += 1
-        if count > MOST:
-            break
-        if FLEET_PAGE in names or FLEET_TABLE in names:
-            fleets.append(_found(root, folder))
-        elif names & set(RUN_FILES) or any(name.startswith("run") and name.endswith(".rrd") for name in names):
-            runs.append(_found(root, folder))
+    runs, fleets = [], []
+    folders = list(islice(_folders(root, "", DEPTH), MOST + 1))
+    for found in folders[:MOST]:
+        if FLEET_PAGE in found.files or FLEET_TABLE in found.files:
+            fleets.append(found)
+        elif not found.files.isdisjoint(RUN_FILES) or any(name.startswith("run") and name.endswith(".rrd") for name in found.files):
+            runs.append(found)
     ordered = [sorted(found, key=lambda f: f.name, reverse=True) for found in (runs, fleets)]
-    return RunList(*({f.key: f for f in found} for found in ordered), left_out=count > MOST)
+    return RunList(*({f.key: f for f in found} for found in ordered), left_out=len(folders) > MOST)
 
 
-def _folders(folder: Path, depth: int) -> Iterator[tuple[Path, set[str]]]:
-    """A folder and those below, each with the names of its files; not what is inside of a run or a fleet."""
+def _folders(folder: Path | str, below: str, depth: int) -> Iterator[ListedFolder]:
+    """A folder and those below, not what is inside of a run or a fleet. below: its path below the first one."""
     try:
         with os.scandir(folder) as entries:
             listed = list(entries)
-        names = {e.name for e in listed if e.is_file(follow_symlinks=False)}
-        below = [e.path for e in listed if e.is_dir(follow_symlinks=False) and not e.name.startswith(".")]
+        files = frozenset(e.name for e in listed if e.is_file(follow_symlinks=False))
+        folders = [e for e in listed if e.is_dir(follow_symlinks=False) and not e.name.startswith(".")]
+        changed_ns = os.stat(folder).st_mtime_ns
     except OSError:
         return
-    yield folder, names
-    if depth and not names & {*RUN_FILES, FLEET_PAGE, FLEET_TABLE}:
-        for path in sorted(below, reverse=True):
-            yield from _folders(Path(path), depth - 1)
-
-
-def _found(root: Path, folder: Path) -> ListedFolder:
-    below = os.path.relpath(folder, root)
-    name = folder.absolute().name if below == os.curdir else below
-    raw = os.fsencode(name)
-    return ListedFolder(hashlib.sha256(raw).hexdigest()[:16], raw.decode("utf-8", "replace"), folder)
+    name = os.fsencode(below or Path(folder).absolute().name)
+    yield ListedFolder(hashlib.sha256(name).hexdigest()[:16], name.decode("utf-8", "replace"), Path(folder), files, changed_ns)
+    if depth and files.isdisjoint((*RUN_FILES, FLEET_PAGE, FLEET_TABLE)):
+        for entry in sorted(folders, key=lambda e: e.name, reverse=True):
+            yield from _folders(entry.path, os.path.join(below, entry.name), depth - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import threading
 from collections.abc import Callable
@@ -65,6 +66,7 @@ def serve(root: Path, port: int = PORT, began: Callable[[str], None] = lambda ad
         )
         worker = threading.Thread(target=server.run, name="mbcacq serve", daemon=True)
         worker.start()
+        gc.freeze()  # else collections walk the libraries too, 0.1 s of a page each
         began(f"http://{LOOPBACK}:{port}/")
         try:
             while worker.is_alive():

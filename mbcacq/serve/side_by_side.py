@@ -27,7 +27,7 @@ def changes(rows: Sequence[RunRow]) -> list[dict[str, Any]]:
         names = (rows[0].found.name, other.found.name)
         try:
             if not (rows[0].overview.best and other.overview.best):
-                raise MbcacqError("one of them has no result that can be read")
+                raise MbcacqError("one of them is a check, or has no result that can be read; choose two calibrations")
             found = compare_results(rows[0].overview.best, other.overview.best, names)
         except MbcacqError as error:
             out.append({"names": names, "why_not": str(error), "rows": [], "verdict": ""})

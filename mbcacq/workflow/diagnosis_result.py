@@ -17,6 +17,7 @@ from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
 from mbcacq.diagnosis.motion.text import brief_details, motion_details, motion_in_brief, motion_text
 from mbcacq.diagnosis.output.brief import brief
+from mbcacq.diagnosis.output.pictures import pictures
 from mbcacq.diagnosis.output.text import first_sentence, words
 from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
@@ -162,8 +163,6 @@ class DiagnosisResult:
         ConfigError
             The diagnosis is of trajectories alone, or was read from JSON.
         """
-        from mbcacq.diagnosis.output.pictures import pictures
-
         if self.poses is None or self.poses.plot_data is None:
             raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
         drawn = pictures(self.poses)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -21,12 +21,10 @@ from mbcacq.quantities import fixed
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.report import write_report_page
 from mbcacq.report.cards import verdict_card
+from mbcacq.report.content import Content
 from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import as_observations
-
-if TYPE_CHECKING:
-    from mbcacq.report.content import Content
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.design.adaptive.investigation import Decision
+from mbcacq.effects.catalogue import effects
+from mbcacq.effects.in_words import spelt_out
 from mbcacq.files.atomic_write import write_file
 from mbcacq.files.template import filled
 from mbcacq.quantities import capitalised, power_of_ten
@@ -37,10 +39,11 @@ def write_investigation_page(folder: Path, name: str, decisions: Sequence[Decisi
     ticks = [(power, power_of_ten(10.0**power)) for power in np.unique(np.round(np.linspace(low, high, 5)))]
     end = decisions[-1].end or "the investigation is not finished" if decisions else "nothing was measured"
     page = Path(__file__).parent / "investigation.html.j2"
-    write_file(folder / PAGE, filled(page, name=name, end=capitalised(end), looks=looks, low=low, high=high, ticks=ticks))
+    write_file(folder / PAGE, filled(page, name=name, end=_words(capitalised(end)), looks=looks, low=low, high=high, ticks=ticks))
     return folder / PAGE
 
 
 def _words(said: str) -> str:
-    """A station has its name by itself: 'stationc2' is its location in an effect."""
-    return re.sub(r"\bstation(?=[A-Za-z0-9])(?!s\b)", "station ", said)
+    """The names of effects with spaces, and a station's name by itself: 'stationc2' is its location in an effect."""
+    spelt = re.sub(rf"\b({'|'.join(effects())})\b", lambda name: spelt_out(name[0]), said)
+    return re.sub(r"\bstation(?=[A-Za-z0-9])(?!s\b)", "station ", spelt)

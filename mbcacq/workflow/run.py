@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.plan.motion_preview import Swept
 from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import Acquisition, new_run_folder, plan_acquisition
@@ -25,9 +25,6 @@ from mbcacq.workflow.corrected_targets import CalibratedArm, CorrectedTargets, c
 from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan, load_observations
-
-if TYPE_CHECKING:
-    from mbcacq.plan.motion_preview import Swept
 
 
 def refuse_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) -> None:
@@ -171,9 +168,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     with ExitStack() as held:
         if folder is not None and folder.is_dir():
             held.enter_context(write_lock(folder, "run --resume"))
-        before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
-        for sentence in before.repairs:
-            operator.message(sentence)
+        before = resuming.progress_before(folder, loaded, cell, operator.message)
         targets = _targets(loaded, poses, corrected, folder, dry_run, operator)
         poses = poses if targets is None else targets.steer(poses)
         done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)

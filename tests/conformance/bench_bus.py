@@ -73,14 +73,21 @@ def modbus_positioner() -> Iterator[Stand]:
 def modbus_sensor(rtu: bool = False) -> Iterator[Stand]:
     values = {"air_C": {"address": 4, "type": "int16", "scale": 0.1}, "scanner_C": {"address": 40, "table": "input", "type": "float32"}}
     known = {"air_C": 21.5, "scanner_C": 38.25}
-    served = [(Register(**values[name]), lambda v=value: v) for name, value in known.items()] + [(Register(**IDENTITY), lambda: 4711.0)]
+    flipped: list[float] = []  # what the air reads once
+
+    def air() -> float:
+        return flipped.pop() if flipped else known["air_C"]
+
+    served = [(Register(**values["air_C"]), air), (Register(**values["scanner_C"]), lambda: known["scanner_C"])]
+    served.append((Register(**IDENTITY), lambda: 4711.0))
     given = {"values": values, "identity": {"where": IDENTITY, "equals": 4711}}
     with _modbus(FakeModbus(values=served, rtu=rtu), given, ModbusSensor, rtu) as (make, proxies):
 
         def use(sensor: ModbusSensor) -> None:
             assert (got := sensor.read()) == known, f"it reads {got} instead of {known}"
 
-        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), short_limits=HASTY)
+        facts = {"doubted reading": lambda: flipped.append(226.3)}
+        yield Stand(make, use, proxies, lambda: make(identity={"where": IDENTITY, "equals": 12}), short_limits=HASTY, facts=facts)
 
 
 @contextmanager
@@ -92,14 +99,14 @@ def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, rtu: bool = F
 
 
 class Thermometer(dict):
-    """Answers by request; every temperature is a hundredth higher than the one before."""
+    """Answers by request; every temperature is a hundredth higher than the one before, but for one that is ``flipped``."""
 
-    readings = 0
+    readings, flipped = 0, False
 
     def get(self, request: str, default: str | None = None) -> str | None:
         if request == "T?":
-            self.readings += 1
-            return f"T={20 + self.readings / 100:.2f} H=40"
+            self.readings, wrong, self.flipped = self.readings + 1, 200 * self.flipped, False
+            return f"T={20 + wrong + self.readings / 100:.2f} H=40"
         return {"ID?": "THERM-2"}.get(request, default)
 
 
@@ -129,7 +136,10 @@ def serial_sensor(pty: bool = False) -> Iterator[Stand]:
             def wrong() -> SerialSensor:
                 return SerialSensor("thermo", "T2", {**given, **HASTY, "identity": {"ask": "ID?\n", "expect": "BARO-1"}})
 
-            yield Stand(lambda **o: SerialSensor("thermo", "T2", {**given, **o}), use, {"line": proxy}, wrong, short_limits=HASTY)
+            facts = {"doubted reading": lambda: setattr(thermometer, "flipped", True)}
+            yield Stand(
+                lambda **o: SerialSensor("thermo", "T2", {**given, **o}), use, {"line": proxy}, wrong, short_limits=HASTY, facts=facts
+            )
 
 
 @contextmanager

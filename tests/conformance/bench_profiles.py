@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
+from mbcacq_fakes.protocols.gocator.files import EXPOSURE
 from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_gocator.driver import Gocator
@@ -74,6 +76,25 @@ def profiles(kind: str, **more: Any) -> Iterator[Stand]:
                 world.time_s += 1 / RATE_HZ
                 time.sleep(0.01)
 
+        def replaced(part: object, what: str, value: object) -> None:
+            setattr(part, what, value)
+            for proxy in proxies.values():
+                proxy.cut()
+
+        facts = {
+            "classic": {
+                "serial number": lambda: replaced(sensor.state, "options", replace(sensor.options, serial=54321)),
+                "firmware": lambda: replaced(sensor.state, "firmware", (6, 1, 99, 0)),
+                "job": lambda: setattr(sensor.files, "loaded_job", "other.job"),
+                "exposure": lambda: sensor.files.set_number(EXPOSURE, 777.0),
+            },
+            "GoPxL": {
+                "serial number": lambda: replaced(sensor.resources, "serial", "54321"),
+                "firmware": lambda: replaced(sensor.resources, "api", "1.1.0"),
+                "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
+                "exposure": lambda: sensor.resources.sensor["exposureSettings"].update(singleExposure=777.0),
+            },
+        }
         yield Stand(
             lambda **o: driver("line", model, {**given, **o}),
             use,
@@ -81,4 +102,5 @@ def profiles(kind: str, **more: Any) -> Iterator[Stand]:
             lambda: driver("line", "2999", given),
             begin,
             short_limits={"timeout_s": 0.6, "reply_limit_s": 0.6, "connect_timeout_s": 1.0},
+            facts=facts[kind],
         )

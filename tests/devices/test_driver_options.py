@@ -1,11 +1,13 @@
-"""Every driver that is delivered refuses options that are no numbers, whoever gives them."""
+"""Every driver that is delivered refuses numbers that no device has, whoever gives them."""
 
 from importlib.metadata import entry_points
 
 import pytest
+from mbcacq_bus.stations import StationOptions
+from mbcacq_ur.options import UrOptions
 from pydantic import ValidationError
 
-from mbcacq.devices import DriverOptions, same_model
+from mbcacq.devices import ConfigError, DriverOptions, parse_options, same_model
 
 OURS = sorted(
     {
@@ -16,15 +18,33 @@ OURS = sorted(
     },
     key=lambda model: model.__name__,
 )
-NUMBERS = [(model, name) for model in OURS for name, field in model.model_fields.items() if field.annotation in (float, float | None)]
+NUMBERS = [
+    (model, name)
+    for model in OURS
+    for name, field in model.model_fields.items()
+    if field.annotation in (int, int | None, float, float | None)
+]
 
 
 @pytest.mark.parametrize(("model", "name"), NUMBERS, ids=lambda value: getattr(value, "__name__", value))
-@pytest.mark.parametrize("value", [float("inf"), float("nan")])
-def test_infinity_and_nan_are_refused(model, name, value):
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), 1e20, -1e20, "8", True])
+def test_what_is_no_number_of_a_device_is_refused(model, name, value):
     with pytest.raises(ValidationError) as caught:
         model.model_validate({name: value})
     assert name in {error["loc"][0] for error in caught.value.errors()}
+
+
+@pytest.mark.parametrize("stations", [{"1": 1e20}, {"1": 0.0, "2": float("nan")}])
+def test_numbers_within_an_option_are_looked_at(stations):
+    with pytest.raises(ConfigError, match=r"stations(: 1e\+20 is beyond 1e\+10|\.2: )"):
+        parse_options(StationOptions, "the lift", {"stations": stations})
+
+
+def test_a_text_in_place_of_a_number_is_told_what_is_wanted():
+    with pytest.raises(ConfigError, match="payload_kg must be a number of at least 0, not '08'"):
+        parse_options(UrOptions, "the arm", {"address": "192.168.0.10", "limits_deg": [[-1, 1]] * 6, "payload_kg": "08"})
+    with pytest.raises(ConfigError, match=r"payload_kg: 1e\+06 is beyond 5000, the most that any device has"):
+        parse_options(UrOptions, "the arm", {"address": "192.168.0.10", "limits_deg": [[-1, 1]] * 6, "payload_kg": 1e6})
 
 
 def test_every_driver_has_the_one_base():

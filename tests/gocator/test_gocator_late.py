@@ -93,7 +93,7 @@ def test_gopxl_control(held):
     with pytest.raises(DeviceTimeout):
         control.read("/system")
     held.release()
-    with pytest.raises(ConnectError, match="is closed; connect again"):
+    with pytest.raises(ConnectError, match="is closed; connect first"):
         control.read("/jobs")
     control.open()
     assert control.read("/jobs") == {"answer": "/jobs"}

@@ -1,5 +1,6 @@
 """A line scanner's stream of profiles: literal bytes, and fake sensors of both generations that lose, restart and go away."""
 
+import socket
 import time
 
 import numpy as np
@@ -14,8 +15,9 @@ from mbcacq_gocator.decode import decode
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.gopxl.driver import GoPxL
 from mbcacq_gocator.profiles import block_of, joined
+from mbcacq_gocator.sensor_session import ProfileStream
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceFault, ProfileScanner, ProtocolError
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, ProfileScanner, ProtocolError
 
 # Two stamps of 64 bytes: frames 7 and 8, 1024000 and 1126400 ticks (1.0 and 1.1 s), encoder -5 and -3, input of the second on.
 STAMPS = bytes.fromhex(
@@ -63,6 +65,36 @@ def test_profiles_without_a_stamp_of_each_are_refused():
     one[0], one[6] = 78, 1
     with pytest.raises(ProtocolError, match="2 profiles with 1 stamps"):
         read(bytes(one), POINTS)
+
+
+class Endless:
+    """A sensor whose data sets never end, whatever it is told."""
+
+    is_wanted = True
+
+    def __init__(self):
+        self.data, self.other = socket.socketpair()
+        self.other.send(b"x")
+
+    def start(self):
+        pass
+
+    stop = start
+
+    def next_profiles(self, deadline):
+        time.sleep(0.01)
+
+
+def test_profiles_that_come_after_the_stop_are_no_whole_sweep():
+    sensor = Endless()
+    stream = ProfileStream(sensor, 0.2)
+    try:
+        with pytest.raises(DeviceTimeout, match=r"profiles still come 0.2 s after the sensor was stopped; see that nothing else starts it"):
+            stream.end()
+    finally:
+        sensor.is_wanted = False
+        sensor.data.close()
+        sensor.other.close()
 
 
 class Ramp:

@@ -88,6 +88,18 @@ def test_what_changed_is_named_dated_and_sized(planned):
     assert caught.value.exit_code is ExitCode.CHANGED
 
 
+def test_days_count_in_the_order_in_which_they_were_measured_though_the_clock_was_set_back(planned):
+    days = noise(planned, 6, seed=7)
+    mount = change(planned, "mount", "scanner on the flange")
+    days[4:] += mount.columns @ (np.array([0.05, -0.03, 0.0, 0.0, 0.0, np.radians(0.02)]) / mount.usual)
+    history = history_of(planned, days)
+    back = replace(history, days=tuple(replace(day, time=f"2026-03-{9 - t:02d}T08:00:00+00:00") for t, day in enumerate(history.days)))
+    found = verdict_of(planned, back)
+    assert (found.changed, found.since, found.suspects[0].name) == (True, 4, "mount")
+    sentence = InterimCheck(found, back, Path("check.json"), Path("run")).sentence
+    assert "before the check of 2026-03-05T08:00:00+00:00" in sentence
+
+
 def test_a_joint_that_lost_its_zero_is_named_and_so_is_what_looks_like_it(planned):
     days = noise(planned, 8, seed=1)
     zero = change(planned, "mastering", "A4")

@@ -116,31 +116,11 @@ def test_entities_stand_where_the_layout_says(a_run):
     from rerun.chunk import RrdReader
 
     found = {chunk.entity_path.lstrip("/") for chunk in RrdReader(a_run / "run.rrd").stream()}
-    flat = (
-        layout.RUN,
-        layout.PLAN,
-        layout.CELL,
-        layout.STATE,
-        layout.STEP,
-        layout.STATION,
-        layout.LOG,
-        layout.CYCLES,
-        layout.JOINTS,
-        layout.FOLLOWING,
-        layout.CURRENT,
-        layout.SCAN,
-        layout.EXPOSURE,
-        layout.OBSERVATION,
-        layout.BALLS_FOUND,
-        layout.FIT_RMS,
-        layout.SCATTER,
-        layout.SCANNER,
-        layout.link(1),
-        layout.link(6),
-        "world/stations/far",
-        "health/scanner/temperature_C",
+    names = (
+        "RUN PLAN CELL STATE STEP STATION LOG CYCLES JOINTS FOLLOWING CURRENT SCAN EXPOSURE OBSERVATION BALLS_FOUND FIT_RMS SCATTER SCANNER"
     )
-    assert set(flat) <= found
+    assert {getattr(layout, name) for name in names.split()} <= found
+    assert {layout.link(1), layout.link(6), "world/stations/far", "health/scanner/temperature_C"} <= found
     states = [row["state"][0] for row in Recording(a_run / "run.rrd").rows(layout.STATE) if "state" in row]
     assert states == [event.state for event in of(events.StateChanged, synthetic.run())]
 
@@ -212,6 +192,22 @@ def test_a_controller_that_starts_anew_at_once_does_not_turn_time_back(tmp_path)
             for event in synthetic.pose(rng, number, 1.0 + number - 2):
                 second(dataclasses.replace(event, robot_time_s=1000.0 + 50 * (number - 2)) if isinstance(event, events.PoseDone) else event)
     assert load_observations(tmp_path).time_s.tolist() == pytest.approx([1000.0, 1050.0, 1069.0, 1119.0])
+
+
+@pytest.mark.parametrize(("restarted", "seen"), [(False, [1000.0, 1050.0, 1100.0, 1150.0]), (True, [1000.0, 1050.0, 1050.0, 1100.0])])
+def test_a_computer_whose_clock_is_set_back_between_two_parts_does_not_turn_time_back(tmp_path, restarted, seen):
+    """What the controller's clock says counts; where that began anew too, the pause is not known, and the order stays."""
+    rng = np.random.default_rng(0)
+    for part, started in enumerate(("2026-01-02T03:04:05+00:00", "2026-01-02T01:04:05+00:00")):
+        with Recorder(tmp_path, part=part) as recorder:
+            recorder(dataclasses.replace(synthetic.start(), started=started))
+            for number in (2 * part, 2 * part + 1):
+                at = 1000.0 + 50 * number - (100.0 if restarted and part else 0.0)
+                for event in synthetic.pose(rng, number, 1.0 + number):
+                    recorder(dataclasses.replace(event, robot_time_s=at) if isinstance(event, events.PoseDone) else event)
+    obs = load_observations(tmp_path)
+    assert obs.pose_id.tolist() == [0, 1, 2, 3]
+    assert obs.time_s.tolist() == pytest.approx(seen)
 
 
 def test_a_recording_is_never_overwritten(a_run):

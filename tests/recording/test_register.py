@@ -1,6 +1,7 @@
 """Kinds of recordings in a folder of runs: 'latest' is the newest that a command can use, and a check is no run."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,23 @@ def test_a_check_does_not_become_the_latest_run(desk):
     run, check = recorded("cell", "2026-03-01T08:00:00", "run"), recorded("morning", "2026-03-02T08:00:00", "check")
     assert named_run(Path("latest")) == named_run(Path("runs/latest")) == run
     assert named_run(Path("latest"), frozenset({RunKind.CHECK})) == named_run(Path("latest"), ANY_KIND) == check
+
+
+def test_the_run_that_was_started_last_is_the_latest_though_the_clock_was_set_back(desk):
+    recorded("2026-03-09T08-00-00_cell", "2026-03-09T08:00:00+00:00", "run")
+    after = recorded("2026-03-02T08-00-00_cell", "2026-03-02T08:00:00+00:00", "run")
+    recorded("2026-03-02T09-00-00_check-cell", "2026-03-02T09:00:00+00:00", "check")
+    assert named_run(Path("latest")) == after
+
+
+def test_where_a_copy_of_the_runs_has_the_newest_run_instead_of_its_mark_a_later_run_is_the_latest(desk):
+    recorded("monday", "2026-03-02T08:00:00+00:00", "run")
+    shutil.copytree("runs", "stick")  # as FAT has no links: 'latest' is a folder with Monday's run
+    shutil.rmtree("runs")
+    shutil.copytree("stick", "runs")
+    assert named_run(Path("latest")) == Path("runs/monday")
+    tuesday = recorded("tuesday", "2026-03-03T08:00:00+00:00", "run")
+    assert named_run(Path("latest")) == tuesday
 
 
 def test_a_mark_that_an_older_version_set_on_a_check_or_that_names_a_lost_folder_is_read_past(desk):

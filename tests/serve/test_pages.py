@@ -2,6 +2,8 @@
 
 import json
 import re
+import time
+from datetime import datetime
 
 import pytest
 
@@ -229,6 +231,22 @@ def test_a_folder_that_is_missing_and_libraries_that_are(runs, monkeypatch):
     outcome = CliRunner().invoke(app, ["serve", str(runs)])
     assert outcome.exit_code == 2
     assert "pip install 'mbcacq[serve]'" in outcome.output
+
+
+@pytest.mark.parametrize("zone", ["Etc/GMT-14", "Etc/GMT+12"])
+def test_today_is_the_day_of_the_lab_as_in_the_names_of_its_runs(client, runs, monkeypatch, zone):
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        today = f"{datetime.now():%Y-%m-%d}"
+        (runs / "unnamed").mkdir()
+        (runs / "unnamed" / "result.json").write_bytes((runs / "monday" / "result.json").read_bytes())
+        link = re.search(r'href="([^"]+)">Measured today', get(client, "/").text)[1]
+        assert today in link
+        assert "unnamed" in get(client, link).text
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_of_many_runs_a_page_is_shown_with_search_kind_and_history(client, runs):

@@ -90,12 +90,6 @@ def test_the_time_left_follows_from_the_parts_done(monkeypatch, capfd):
     assert said == ["part 1 of 4 ...", "part 2 of 4, about 30 s left ...", "part 3 of 4, about 20 s left ..."]
 
 
-def test_nothing_is_said_where_nothing_is_wanted(capfd):
-    with StepProgress(quiet=True) as progress:
-        progress("calibrating")
-    assert capfd.readouterr().err == ""
-
-
 def commands(group=app, above=()):
     """Every command with its names, groups and their commands alike."""
     context = click.Context(group)

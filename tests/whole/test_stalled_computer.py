@@ -13,7 +13,7 @@ from mbcacq.recording import load_observations
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows cannot stop a process")
-@pytest.mark.parametrize(("part", "seconds"), [("mbcacq_kuka.rsi.cycle", 8.0), ("mbcacq_fakes.cell.process", 3.3)])
+@pytest.mark.parametrize(("part", "seconds"), [("mbcacq_kuka.rsi.cycle", 8.0), ("mbcacq_fakes.cell.process", 6.0)])
 def test_a_process_of_a_dry_run_that_stands_still_ends_no_run(tmp_path, part, seconds):
     def stall(cell):
         found = [p for p in psutil.Process().children(recursive=True) if part in " ".join(p.cmdline())]

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import socket
-import threading
-import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from mbcacq.devices import ConnectError, DeviceTimeout, ProtocolError
+from mbcacq.devices import ProtocolError
 from mbcacq_gocator import wire
 from mbcacq_gocator.gopxl import frames
 from mbcacq_gocator.request_connection import RequestConnection
@@ -20,22 +18,7 @@ MAX_BETWEEN = 10_000  # notifications before a reply
 
 
 class GoPxLControl(RequestConnection):
-    """Requests carry no number: a reply belongs to the oldest request. So there is one request at a time, and after anything
-    that leaves a reply outstanding the connection is closed.
-    """
-
-    def __init__(
-        self,
-        address: str,
-        port: int,
-        connect_timeout_s: float,
-        reply_limit_s: float | None = None,
-        grace_s: float = 0.0,
-        cancelled: Callable[[], bool] = lambda: False,
-    ) -> None:
-        super().__init__(address, port, connect_timeout_s, reply_limit_s, grace_s)
-        self._cancelled = cancelled
-        self._one_request = threading.Lock()
+    """Requests carry no number: a reply belongs to the oldest request. So there is one request at a time."""
 
     def open(self) -> None:
         """Raises ConnectError."""
@@ -60,47 +43,19 @@ class GoPxLControl(RequestConnection):
         return self.ask("call", path, payload, None, limit_s)
 
     def ask(
-        self,
-        method: str,
-        path: str,
-        payload: dict[str, Any] | None = None,
-        args: dict[str, Any] | None = None,
-        limit_s: float = REPLY_S,
-        may_be_cancelled: bool = True,
+        self, method: str, path: str, payload: dict[str, Any] | None = None, args: dict[str, Any] | None = None, limit_s: float = REPLY_S
     ) -> dict[str, Any]:
         """The payload of the reply. Raises SensorRefused, ConnectError, DeviceTimeout, ProtocolError, Aborted."""
-        limit_s = self._grace_s + min(limit_s, self._reply_limit_s or limit_s)
-        with self._one_request:
-            sock = self._sock
-            if sock is None:
-                raise ConnectError("the connection to the GoPxL sensor is closed; connect again")
-            deadline = time.monotonic() + limit_s
-            cancelled = self._cancelled if may_be_cancelled else lambda: False
-            try:
-                self._send(sock, frames.request(method, path, payload, args), limit_s)
-                return self._answer(sock, path, deadline, cancelled)
-            except SensorRefused:
-                raise
-            except BaseException:
-                self.close()  # a late reply would be taken for that to the next request
-                raise
+        data = frames.request(method, path, payload, args)
+        return self._exchange(path, data, limit_s, partial(self._answer, path))
 
-    def _send(self, sock: socket.socket, data: bytes, limit_s: float) -> None:
-        try:
-            sock.settimeout(limit_s)
-            sock.sendall(data)
-        except TimeoutError:
-            raise DeviceTimeout("the GoPxL sensor takes no more requests; check the network and that it is not overloaded") from None
-        except OSError as error:
-            raise wire.Dropped(f"the connection to the GoPxL sensor broke ({error.strerror or error}); check the cable") from None
-
-    def _answer(self, sock: socket.socket, path: str, deadline: float, cancelled: Callable[[], bool]) -> dict[str, Any]:
+    def _answer(self, path: str, sock: socket.socket, deadline: float) -> dict[str, Any]:
         for _ in range(MAX_BETWEEN):
             header = bytearray(frames.REPLY.size)
-            wire.receive_exactly(sock, memoryview(header), "reply", deadline, cancelled)
+            wire.receive_exactly(sock, memoryview(header), "reply", deadline, self._cancelled)
             status, count, behind = frames.reply_size(bytes(header))
             body = bytearray(count + behind)
-            wire.receive_exactly(sock, memoryview(body), "reply", deadline, cancelled, started=True)
+            wire.receive_exactly(sock, memoryview(body), "reply", deadline, self._cancelled, started=True)
             found = frames.content(bytes(body[:count]))
             if found["type"] not in (frames.NOTIFICATION, frames.STREAM):
                 return self._accepted(found, status, path)

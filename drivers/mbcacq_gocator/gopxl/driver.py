@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import ConnectError, Description, DeviceTimeout, Field, IdentityError, MbcacqError, ProtocolError, Scan
+from mbcacq.devices import ConnectError, Description, Field, IdentityError, Scan, parse_options
 from mbcacq_gocator.generation import classic_answers
 from mbcacq_gocator.gopxl import tree
 from mbcacq_gocator.gopxl.control import GoPxLControl
 from mbcacq_gocator.gopxl.discovery import located
-from mbcacq_gocator.gopxl.options import GoPxLOptions, parse
+from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.restore import Found, put_back
 from mbcacq_gocator.gopxl.session import GoPxLSession
-from mbcacq_gocator.guard import HealthGuard
-from mbcacq_gocator.snapshot_scanner import RESTORE_CONNECT_S, RESTORE_REPLY_S, SnapshotScanner
+from mbcacq_gocator.snapshot_scanner import SnapshotScanner
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, right-handed, float32"),
@@ -42,26 +40,11 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = parse(name, options or {})
+        self.options = parse_options(GoPxLOptions, f"scanner '{name}'", options or {})
         about = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
         super().__init__(name, model, self.options, self.options.mode, about)
         self._found: Found | None = None
         self._place = self.options
-        self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
-
-    def stop(self) -> None:
-        """No scan goes on; the sensor itself is brought to rest by ``close``, or by the next ``connect``."""
-        self._cancel.set()
-
-    def close(self) -> None:
-        """Stop, put settings, outputs and the protocol back as they were found, release everything."""
-        self.stop()
-        self._wanted = False
-        with self._one_capture:
-            try:
-                self._restore()
-            finally:
-                self._drop()
 
     def _watch(self, session: GoPxLSession) -> None:
         for warning in self._guard.look(session.health()):
@@ -89,25 +72,12 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
         return session
 
     def _restore(self) -> None:
-        (found, self._found), session = (self._found, None), self._session
+        found, self._found = self._found, None
         if found is None or found.paths is None:
             return
-        wanted = found if self.options.restore else Found(paths=found.paths)  # only to rest
-        job = self.options.job if self.options.restore else ""
+        wanted, job = (found, self.options.job) if self.options.restore else (Found(paths=found.paths), "")  # only to rest
         self._cancel.clear()
         try:
-            if session is not None and session.control.is_open:
-                with suppress(ConnectError, DeviceTimeout, ProtocolError):
-                    return put_back(session.control, wanted, job)
-            place = self._place
-            limit_s = min(place.reply_limit_s or RESTORE_REPLY_S, RESTORE_REPLY_S)
-            spare = GoPxLControl(place.address, place.control_port, RESTORE_CONNECT_S, limit_s)
-            try:
-                spare.open()
-                put_back(spare, wanted, job)
-            finally:
-                spare.close()
-        except MbcacqError as error:
-            _log.warning("scanner '%s': its settings could not be put back as they were: %s", self.name, error)
+            self._put_back(self._place, GoPxLControl, lambda control: put_back(control, wanted, job))
         finally:
             self._cancel.set()

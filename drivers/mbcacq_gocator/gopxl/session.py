@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import select
-import socket
 import time
 from collections.abc import Callable
 from typing import Any
 
-from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, Scan, hang_up, has_ended
-from mbcacq_gocator import wire
+from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, Scan
 from mbcacq_gocator.conversion import picked
 from mbcacq_gocator.gopxl import gdp, tree
 from mbcacq_gocator.gopxl.control import JOB_S, STATE_S, GoPxLControl
@@ -17,66 +15,40 @@ from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.points import points_of, profile_block
 from mbcacq_gocator.gopxl.restore import Found
 from mbcacq_gocator.profiles import ProfileBlock
+from mbcacq_gocator.sensor_session import SensorSession
 from mbcacq_gocator.snapshot_scanner import FINEST_US, exposure_reported
 from mbcacq_gocator.status import meaning
 
-_RECEIVE_BUFFER = 4 * 2**20
 
-
-class GoPxLSession:
-    """Raises from ``open``: ConnectError, IdentityError, ConfigError, DeviceFault, DeviceTimeout, ProtocolError, Aborted.
-
-    found: the sensor as an earlier session of this run found it, None if this is the first.
-    """
+class GoPxLSession(SensorSession[GoPxLControl]):
+    """found: the sensor as an earlier session of this run found it, None if this is the first."""
 
     def __init__(self, options: GoPxLOptions, model: str, cancelled: Callable[[], bool], found: Found | None = None) -> None:
-        self.options, self._model, self._cancelled = options, model, cancelled
-        self.control = GoPxLControl(
-            options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, options.grace_s, cancelled
-        )
+        self.options = options
+        times = options.connect_timeout_s, options.reply_limit_s, options.grace_s
+        super().__init__(GoPxLControl(options.address, options.control_port, *times, cancelled), model, cancelled)
         self.info: tree.SensorInfo | None = None
         self.found, self._first = found or Found(), found is None
         self._scanner: tree.ScannerPaths | None = None
-        self._data: socket.socket | None = None
-        self._reader: wire.MessageReader | None = None
-        self._running = False
         self._stamped = False
         self._last_frame = -1
         self.exposure_us: float | None = None
-        self.exposure = "as set"
-        self.geometry: tuple[object, ...] = ()
 
     @property
     def scanner(self) -> tree.ScannerPaths:
         assert self._scanner is not None, "the session is not open"
         return self._scanner
 
-    def open(self) -> None:
-        try:
-            self.control.open()
-            self.info = tree.identify(self.control)
-            tree.check_identity(self.info, self._model, self.options.serial, self.options.address)
-            self._come_to_rest()
-            self._choose_job()
-            self._scanner = tree.find_scanner(self.control, self.info.serial)
-            self._refuse_alignment()
-            self._set_up()
-            self._add_output()
-            self._connect_data()
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the sensor has closed a connection since it was used, e.g. as idle."""
-        return self.control.has_ended or has_ended(self._data)
-
-    def close(self) -> None:
-        self.control.close()
-        hang_up(self._data)
-        self._data = self._reader = None
-        self._running = False
+    def _agree(self) -> None:
+        self.info = tree.identify(self.control)
+        tree.check_identity(self.info, self._model, self.options.serial, self.options.address)
+        self._come_to_rest()
+        self._choose_job()
+        self._scanner = tree.find_scanner(self.control, self.info.serial)
+        self._refuse_alignment()
+        self._set_up()
+        self._add_output()
+        self._connect_data()
 
     def _come_to_rest(self) -> None:
         state = self.control.read(tree.SYSTEM, STATE_S).get("runState")
@@ -88,7 +60,6 @@ class GoPxLSession:
             self.control.call(tree.STOP, limit_s=STATE_S)
 
     def job(self) -> str:
-        """Name of the job that is loaded now."""
         return str(self.control.read_if_there(tree.JOBS).get("loadedJob", ""))
 
     def _choose_job(self) -> None:
@@ -149,6 +120,9 @@ class GoPxLSession:
         value = settings.get("singleExposure") if isinstance(settings, dict) else None
         return float(value) if isinstance(value, int | float) else None
 
+    def exposure_set(self) -> str:
+        return exposure_reported(self._exposure() or 0.0, self.exposure_us)
+
     def set_exposure(self, exposure_us: float) -> None:
         """Set one exposure and read it back; a running sensor is stopped for it. Raises DeviceFault if another one was taken."""
         if self.exposure_us is not None and abs(self.exposure_us - exposure_us) < FINEST_US:
@@ -184,31 +158,21 @@ class GoPxLSession:
         port = self.options.data_port or self.control.read(tree.GDP).get("serverPort", 3601)
         if not isinstance(port, int) or not 0 < port < 65536:
             raise ConfigError(f"the sensor names {port!r} as the port of its data; give data_port in the plan")
-        self._data = wire.connect(self.options.address, port, "GoPxL data", self.options.connect_timeout_s, _RECEIVE_BUFFER)
-        self._reader = wire.MessageReader(self._data, "scan", self._cancelled)
-
-    @property
-    def data_socket(self) -> socket.socket | None:
-        return self._data
-
-    @property
-    def is_wanted(self) -> bool:
-        return not self._cancelled()
+        self._open_data(self.options.address, port, "GoPxL data", self.options.connect_timeout_s)
 
     def next_profiles(self, deadline: float) -> ProfileBlock | None:
-        reader = self._reader
+        reader = self.reader
         return None if reader is None else profile_block(gdp.read_set(reader, deadline), self.options.right_handed)
 
     def start(self) -> None:
-        """Let the sensor run, waiting for triggers, if it does not already."""
-        if not self._running:
+        if not self.running:
             self.control.call(tree.START, limit_s=STATE_S)
-            self._running = True
+            self.running = True
 
     def stop(self) -> None:
-        if self._running:
+        if self.running:
             self.control.call(tree.STOP, limit_s=STATE_S)
-            self._running = False
+            self.running = False
 
     def expose(self, exposure_us: float | None) -> Scan:
         """Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError, Aborted."""
@@ -238,11 +202,11 @@ class GoPxLSession:
 
     def _discard_old(self) -> None:
         """Sets that came by themselves since the last scan, so that none of them is taken for the next one."""
-        assert self._data is not None
-        assert self._reader is not None
+        assert self.data is not None
+        assert self.reader is not None
         deadline = time.monotonic() + self.options.timeout_s
-        while select.select([self._data], [], [], 0)[0]:
-            self._note(gdp.read_set(self._reader, deadline))
+        while select.select([self.data], [], [], 0)[0]:
+            self._note(gdp.read_set(self.reader, deadline))
 
     def _note(self, found: gdp.GdpSet) -> bool:
         """Whether the set is newer than all before it. A sensor that sends no stamps is believed: what was older was discarded."""
@@ -253,12 +217,12 @@ class GoPxLSession:
         return newer
 
     def _wait_for_surface(self) -> gdp.GdpSet:
-        assert self._reader is not None
+        assert self.reader is not None
         deadline = time.monotonic() + self.options.timeout_s
         other = ""
         while True:
             try:
-                found = gdp.read_set(self._reader, deadline)
+                found = gdp.read_set(self.reader, deadline)
             except DeviceTimeout as error:
                 came = f"; the sensor sent {other}" if other else f": {error}"
                 raise DeviceTimeout(

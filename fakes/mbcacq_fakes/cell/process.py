@@ -16,13 +16,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbcacq.devices import parse_options
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.spheres.cloud_files import read_points
-from mbcacq_fakes.cell.build_world import make_camera, make_world
+from mbcacq_fakes.cell.build_world import check, make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.stall import STALL_S
+from mbcacq_fakes.protocols.stall import HANGING_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
@@ -66,8 +68,6 @@ class Servers:
         return self._camera.temperatures()
 
     def mishap(self, **details: Any) -> None:
-        from mbcacq_fakes.cell.build_world import check
-
         mishap = Mishap(**details)
         check(FakeOptions(mishaps=(mishap,)), self._camera.world.facts)
         self._camera.mishap(mishap)
@@ -120,8 +120,10 @@ class Servers:
         except OSError as error:
             raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
         self._stack.callback(self._sensor.stop)
-        grace = {} if self._job["realtime"] or self._job["ports"] == "plan" or "reply_limit_s" in given else {"grace_s": STALL_S}
-        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}, **grace}
+        timed = self._job["realtime"] or self._job["ports"] == "plan"  # in lock-step a busy computer is slow, and no sensor is silent
+        slow = () if timed else (("reply_limit_s", "grace_s"), ("timeout_s", "timeout_s"))
+        waits = {option: HANGING_S for said, option in slow if said not in given}
+        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}, **waits}
 
     def _start_program(self) -> dict[str, Any]:
         """The scanner's own program, with a folder of its own."""
@@ -286,8 +288,6 @@ def _refuse_unknown(given: Mapping[str, Any], options: Any) -> None:
 
 
 def _volume(view: ScannerView) -> Any:
-    import numpy as np
-
     half = np.maximum(view.near_half, view.far_half)
     return np.array([-half[0], -half[1], view.far_z]), np.array([half[0], half[1], view.near_z])
 

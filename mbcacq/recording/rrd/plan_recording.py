@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import rerun as rr
 
 from mbcacq.files.atomic_write import replacing
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.recording.rrd import layout, scene
+from mbcacq.recording.rrd.drawable import drawable
 
 FRAMES_A_MOTION = 16
 
@@ -25,11 +27,9 @@ def write_plan_recording(
 
 
 def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], partial: Path) -> None:
-    import rerun as rr
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
-    from mbcacq.recording.rrd.drawable import drawable
     from mbcacq.recording.rrd.new_stream import filed
 
     cell = loaded.cell

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import inside_folder
+from mbcacq.recording.rrd.run_header import read_run_header
 from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, kind_of, newest
 
 RUNS, LATEST = "runs", "latest"
@@ -34,7 +35,7 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
     """The folder that 'latest' or 'runs/latest' names, which is the newest of these kinds; any other path as it is. Raises ConfigError
     where there is none."""
     mark = Path(RUNS) / LATEST if path == Path(LATEST) and not path.exists() else path
-    if mark.name != LATEST or mark.parent.name != RUNS or mark.is_dir() and not mark.is_symlink():
+    if mark.name != LATEST or mark.parent.name != RUNS or mark.is_dir() and not mark.is_symlink() and not _is_copy(mark):
         return mark
     marked = _marked(mark)
     if kinds == CALIBRATED_FROM and marked is not None and marked.is_dir() and kind_of(marked) in kinds:
@@ -47,11 +48,16 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
     raise ConfigError(f"{mark} names the run {marked}, which is gone; give the folder of another run")
 
 
+def _is_copy(folder: Path) -> bool:
+    """Whether a folder holds the recording of one beside it: a program that copied the folder of the runs followed the link."""
+    header = read_run_header(folder)
+    return header is not None and any(read_run_header(other) == header for other in folder.parent.iterdir() if other != folder)
+
+
 def _marked(mark: Path) -> Path | None:
-    """The folder that a mark names, there or not; None if there is no mark."""
-    if mark.is_symlink():
-        return mark.parent / mark.readlink()
-    return mark.parent / mark.read_text(encoding="utf-8").strip() if mark.is_file() else None
+    """The folder beside it that a mark names, there or not; None if there is no mark, or one of somebody else that leads elsewhere."""
+    name = str(mark.readlink()) if mark.is_symlink() else mark.read_text(encoding="utf-8").strip() if mark.is_file() else ""
+    return mark.parent / name if name and Path(name).name == name != ".." else None
 
 
 def refuse_plan(path: Path) -> None:

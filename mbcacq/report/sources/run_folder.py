@@ -107,7 +107,7 @@ def _kept(path: Path, program: str, known: str) -> dict[str, Any] | None:
     """
     try:
         text = path.read_bytes()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):  # a run is a folder; a recording or a set is not
         return None
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}; make it readable, or remove it") from error
