@@ -12,13 +12,14 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.cell_estimate import square_root
 from mbcacq.calibration.published_cell import with_estimates
+from mbcacq.calibration.return_to_geometry import returning_to_geometry
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import JOINTS
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
+from mbcacq.effects.effect_term import BEYOND, UNKNOWN, EffectTerm
 from mbcacq.effects.learnt_range import own_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
@@ -70,7 +71,8 @@ def refitted_effects(observations: Observations, options: CalibrationOptions, mo
     """The effects of the cell that ``refitted`` returns, in less time: the geometry alone is not fitted for comparison."""
     obs = _learnt_from(observations, options, model, hold=False)
     with one_thread():
-        return _fitted(obs, options, model, hold=False, fit=fit).effects
+        found = _fitted(obs, options, model, hold=False, fit=fit).effects
+    return found and found.select(lambda t: t.variant != BEYOND)
 
 
 def _learnt_from(observations: Observations, options: CalibrationOptions, model: EffectModel, hold: bool) -> Observations:
@@ -95,7 +97,7 @@ def _fitted(obs: Observations, options: CalibrationOptions, model: EffectModel, 
     beside them."""
     options = replace(options, discrepancy=False)
     held = model if hold else model.select(lambda t: t.held)
-    free = model.select(lambda t: not (hold or t.held)).learnt_at(obs)
+    free = model.select(lambda t: not (hold or t.held or t.variant == BEYOND)).learnt_at(obs)
     options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
     fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
     return replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ()))))
@@ -217,9 +219,11 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
         solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
     result = with_uncertain_sizes(adjusted_cell(chosen, adjusted), stage)
-    groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
-    model = replace(parametric, terms=(*parametric.terms, *groups))
-    return replace(result, effects=with_estimates(model, result))
+    sized = (replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
+    model = replace(parametric, terms=(*parametric.terms, *sized))
+    found = replace(result, effects=with_estimates(model, result))
+    long = stage.fitted.fit.used_poses >= groups.OPTIONS.many_poses  # slow orders, which trade with geometry, have small sizes there
+    return found if long else returning_to_geometry(found, fitted, with_estimates(parametric, fitted))
 
 
 def with_uncertain_sizes(cell: CalibratedCell, stage: _Stage) -> CalibratedCell:
