@@ -15,6 +15,7 @@ _RECENT_S = 600.0  # two bodies may well change places in a longer time
 _TEMPERATURES = ("C", "°C", "degC", "deg C", "K")
 _TEMPERATURE_RATE = 0.5  # K/s: more than air in a hall or a body of metal changes by
 _TEMPERATURE_STEP = 10.0  # K: a larger one is read again, however long ago the last reading was
+_NOISE = 0.15  # K: of usual probes and their last digit; what changes by more is read three times
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,23 @@ class Plausibility:
     ) -> dict[str, float]:
         """A reading, or that of ``again`` if it cannot follow the last one. Raises DeviceFault if the second cannot either.
 
-        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong. again: reads once more;
-        its argument says whether the first reading is doubted.
+        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong. A temperature that
+        changed by more than noise is read three times, and the middle value counts. again: reads once more; its argument says whether the
+        first reading is doubted.
         """
         if not self._last and (self._max_rates or self._temperatures):
             self.believe(values, now())
             values = again(False)
         first = self.doubt(values, now())
+        if first is None and any(
+            abs(values[name] - self._last.get(name, values[name])) > _NOISE for name in self._temperatures & values.keys()
+        ):
+            readings, before = (values, again(False), again(False)), values
+            values = {name: sorted(reading.get(name, value) for reading in readings)[1] for name, value in values.items()}
+            if wrong := [
+                f"{name} {before[name]:g}, then {value:g}" for name, value in values.items() if abs(before[name] - value) > _NOISE
+            ]:
+                self._read_again = f"the first of three readings was another: {', '.join(wrong)}"
         if first is not None:
             values = again(True)
             second = self.doubt(values, now())

@@ -11,8 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import Aborted, ConfigError, ConnectError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, Scan
-from mbcacq_folder.options import parse
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceFault,
+    DeviceTimeout,
+    Field,
+    Scan,
+    parse_options,
+)
+from mbcacq_folder.options import FolderOptions
 from mbcacq_folder.trigger import POLL_S, CloudTrigger
 
 Written = tuple[int, int]  # size, time of the last change in ns
@@ -35,7 +46,7 @@ class FolderScanner(ContextDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._name, self._model, self._options = name, model, parse(name, options)
+        self._name, self._model, self._options = name, model, parse_options(FolderOptions, f"scanner '{name}'", options, ("read_cloud",))
         self._stop, self._connected, self._count = threading.Event(), False, 0
         self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
 

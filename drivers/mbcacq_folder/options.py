@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import DriverOptions, parse_options
+from mbcacq.devices import DriverOptions
 
 
 class TriggerOptions(DriverOptions):
@@ -53,8 +52,3 @@ class FolderOptions(DriverOptions):
     axes: str = "x y z"
     range_map: tuple[float, float, float, float] | None = None
     read_cloud: Any = None
-
-
-def parse(name: str, options: Mapping[str, Any]) -> FolderOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(FolderOptions, f"scanner '{name}'", options, ("read_cloud",))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import math
 import re
-from typing import overload
 from xml.etree import ElementTree
 
 from mbcacq.devices import ConfigError, ProtocolError
@@ -43,7 +42,7 @@ class Configuration:
     @property
     def exposure_us(self) -> float | None:
         """Exposure of the main sensor; None if the file does not say."""
-        return _float(self._root.findtext(_DEVICE + "/Exposure"), None)
+        return _float(self._root.findtext(_DEVICE + "/Exposure"))
 
     def scan_settings(self) -> dict[str, str]:
         """Settings that decide which points a surface has and where they are, except the exposure; as the sensor writes them."""
@@ -61,7 +60,7 @@ class Configuration:
 
     def check_exposure(self, exposure_us: float) -> None:
         """Raises ConfigError outside the limits that the sensor states, or if the job chooses its exposure by itself."""
-        mode = _float(self._root.findtext(_DEVICE + "/ExposureMode"), 0.0)
+        mode = _float(self._root.findtext(_DEVICE + "/ExposureMode")) or 0.0
         if mode != SINGLE:
             kind = EXPOSURE_MODES.get(mode, "another kind of")
             raise ConfigError(
@@ -69,7 +68,8 @@ class Configuration:
                 "in the job, or leave the exposure out of the plan"
             )
         node = self._node(_DEVICE + "/Exposure")
-        low, high = (_float(node.get(name), default) for name, default in (("min", 0.0), ("max", float("inf"))))
+        low, most = _float(node.get("min")) or 0.0, _float(node.get("max"))
+        high = math.inf if most is None else most
         if not low <= exposure_us <= high:
             raise ConfigError(
                 f"an exposure of {exposure_us:g} us is outside the {low:g} to {high:g} us that the Gocator allows; change it in the plan"
@@ -96,7 +96,7 @@ class Configuration:
 
     def _number(self, path: str) -> float:
         node = self._node(path)
-        value = _float(node.text, None)
+        value = _float(node.text)
         if value is None:
             raise ProtocolError(f"the sensor's configuration says '{node.text}' for {path} instead of a number")
         return value
@@ -109,17 +109,10 @@ def _leaves(node: ElementTree.Element, above: str = "") -> list[str]:
     return [leaf for child in node for leaf in _leaves(child, f"{above}/{child.tag}".lstrip("/"))]
 
 
-@overload
-def _float(value: str | None, default: float) -> float: ...
-
-
-@overload
-def _float(value: str | None, default: None) -> float | None: ...
-
-
-def _float(value: str | None, default: float | None) -> float | None:
+def _float(value: str | None) -> float | None:
+    """None where it is no finite number."""
     try:
-        number = float(value) if value is not None else default
+        number = float(value or "nan")
     except ValueError:
-        return default
-    return number if number is None or math.isfinite(number) or value is None else default
+        return None
+    return number if math.isfinite(number) else None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan
+from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan, parse_options
 from mbcacq_gocator import commands
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.control import ControlChannel
@@ -16,7 +16,7 @@ from mbcacq_gocator.generation import gopxl_answers
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
-from mbcacq_gocator.options import GocatorOptions, parse
+from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.session import GocatorSession, check_unchanged
 from mbcacq_gocator.snapshot_scanner import SnapshotScanner
 
@@ -43,7 +43,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = parse(name, options or {})
+        self.options = parse_options(GocatorOptions, f"scanner '{name}'", options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
         super().__init__(name, model, self.options, self.options.mode, about)
         self._before: Before | None = None

@@ -11,24 +11,11 @@ from mbcacq.devices import IdentityError, ProtocolError
 READY, RUNNING, CONFLICT = 0, 1, -1
 _RECORD = struct.Struct("<I4s32s4sii")
 _V1_SIZE = 56
-_STATE_NAMES = (
-    "state",
-    "login",
-    "alignment_reference",
-    "alignment_state",
-    "recording",
-    "playback_source",
-    "uptime_s",
-    "uptime_us",
-    "playback_position",
-    "playback_count",
-    "autostart",
-    "accelerator",
-    "voltage",
-    "cable_length_mm",
-    "quick_edit",
-    "security",
-    "branding",
+_STATE_NAMES = tuple(
+    """
+state login alignment_reference alignment_state recording playback_source uptime_s uptime_us playback_position playback_count autostart
+accelerator voltage cable_length_mm quick_edit security branding
+""".split()
 )
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbcacq.devices import parse_options
 from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 _MAX_BRACKET, _MAX_PASSWORD = 16, 63
@@ -60,8 +58,3 @@ class GocatorOptions(SnapshotOptions):
         if self.exposures_us and self.exposure_us is not None:
             raise ValueError("give either exposure_us or exposures_us, not both")
         return self
-
-
-def parse(name: str, options: Mapping[str, Any]) -> GocatorOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(GocatorOptions, f"scanner '{name}'", options)

@@ -26,10 +26,11 @@ from mbcacq.devices import (
     ProtocolError,
     RobotState,
     SafetyStop,
+    parse_options,
 )
 from mbcacq_opcua.link import OpcUaLink
 from mbcacq_opcua.nodes import UNITS, text_of
-from mbcacq_opcua.options import OpcUaOptions, parse
+from mbcacq_opcua.options import OpcUaOptions
 
 MOVING_RAD_S = 1e-3  # slower is standing, for ``state().moving`` alone: whether the arm stands at a target the run judges by itself
 LONGEST_RAD = 100.0  # no joint turns that far
@@ -50,7 +51,7 @@ class OpcUaRobot(ContextDevice):
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._name, self._model, self._options = f"robot '{name}'", model, parse(name, options)
+        self._name, self._model, self._options = f"robot '{name}'", model, parse_options(OpcUaOptions, f"robot '{name}'", options)
         self._lock = threading.Lock()
         self._link: OpcUaLink | None = None
         self._forget()

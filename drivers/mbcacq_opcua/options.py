@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mbcacq.devices import HOST, DriverOptions, parse_options
+from mbcacq.devices import HOST, DriverOptions
 
 
 class OpcUaOptions(DriverOptions):
@@ -53,8 +52,3 @@ class OpcUaOptions(DriverOptions):
     @property
     def url(self) -> str:
         return f"opc.tcp://{self.address}:{self.port}/{self.path.lstrip('/')}"
-
-
-def parse(name: str, options: Mapping[str, Any]) -> OpcUaOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(OpcUaOptions, f"robot '{name}'", options)

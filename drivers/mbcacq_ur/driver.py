@@ -26,9 +26,10 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
     joint_target,
+    parse_options,
 )
 from mbcacq_ur.link import RtdeLink, Values
-from mbcacq_ur.options import AXES, UrOptions, parse
+from mbcacq_ur.options import AXES, UrOptions
 from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
 
 PROGRAM = 20261  # which mbcacq_ur.script this driver works with
@@ -59,7 +60,7 @@ class UrRtdeRobot(ContextDevice):
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._name, self._model, self._options = f"robot '{name}'", model, parse(name, options)
+        self._name, self._model, self._options = f"robot '{name}'", model, parse_options(UrOptions, f"robot '{name}'", options)
         self._limits = np.radians(self._options.limits_deg)
         self._changed = threading.Condition()
         self._link: RtdeLink | None = None

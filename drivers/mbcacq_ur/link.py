@@ -13,19 +13,11 @@ from mbcacq_ur import wire
 from mbcacq_ur.options import UrOptions
 from mbcacq_ur.wire import BadPackage, DataLayout, RefusedValues
 
-SENT = (
-    *(
-        "timestamp",
-        "actual_q",
-        "actual_qd",
-        "target_q",
-        "actual_current",
-        "joint_temperatures",
-        "robot_mode",
-        "safety_status_bits",
-        "runtime_state",
-    ),
-    *("target_speed_fraction", "payload", "output_int_register_0", "output_int_register_1", "output_int_register_2"),
+SENT = tuple(
+    """
+timestamp actual_q actual_qd target_q actual_current joint_temperatures robot_mode safety_status_bits runtime_state target_speed_fraction
+payload output_int_register_0 output_int_register_1 output_int_register_2
+""".split()
 )
 SWITCHED = ("standard_digital_output_mask", "standard_digital_output")  # where digital outputs may be switched
 TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))

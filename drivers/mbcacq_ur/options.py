@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from pydantic import Field, model_validator
 
-from mbcacq.devices import HOST, DriverOptions, parse_options
+from mbcacq.devices import HOST, DriverOptions
 
 AXES = 6
 
@@ -39,8 +36,3 @@ class UrOptions(DriverOptions):
         if self.digital_outputs and self.follow:
             raise ValueError("an arm that is only followed is sent nothing, digital_outputs neither; leave them out, or follow")
         return self
-
-
-def parse(name: str, options: Mapping[str, Any]) -> UrOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(UrOptions, f"robot '{name}'", options)

@@ -4,29 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
 from mbcacq.plan import PlannedPose
-
-
-class Centres(Protocol):
-    """Centres found in one exposure: ball (k,) ids, xyz (k, 3) mm in the scanner frame, n_points (k,), rms_mm (k,) of the fits,
-    covariance (k, 3, 3) mm^2."""
-
-    @property
-    def ball(self) -> np.ndarray: ...
-    @property
-    def xyz(self) -> np.ndarray: ...
-    @property
-    def n_points(self) -> np.ndarray: ...
-    @property
-    def rms_mm(self) -> np.ndarray: ...
-    @property
-    def covariance(self) -> np.ndarray: ...
+from mbcacq.spheres.found import FoundSpheres
 
 
 @dataclass(frozen=True)
@@ -40,7 +24,7 @@ class MeanCentres:
     scatter_mm: np.ndarray
 
 
-def mean_centres(found: Sequence[Centres]) -> MeanCentres:
+def mean_centres(found: Sequence[FoundSpheres]) -> MeanCentres:
     """Average the exposures of one pose. A ball counts only if it was found in at least half of them."""
     ids = np.concatenate([f.ball for f in found]) if found else np.zeros(0, int)
     xyz = np.concatenate([f.xyz for f in found]) if found else np.zeros((0, 3))

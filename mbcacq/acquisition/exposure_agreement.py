@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from mbcacq.acquisition.expected_view import Centres
 from mbcacq.acquisition.gate_options import GateOptions
+from mbcacq.spheres.found import FoundSpheres
 
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
@@ -22,7 +22,7 @@ class ExposureAgreement:
         self._options = options
         self._scatter_mm: list[float] = []
 
-    def majority(self, found: Sequence[Centres]) -> list[int] | None:
+    def majority(self, found: Sequence[FoundSpheres]) -> list[int] | None:
         """Indices of the exposures that agree, where they are more than half of all; None if no such majority exists."""
         if len(found) < 2:
             return list(range(len(found)))
@@ -34,18 +34,18 @@ class ExposureAgreement:
         kept: list[int] = np.flatnonzero(agree[best]).tolist()
         return kept if 2 * len(kept) > len(found) else None
 
-    def largest_difference(self, found: Sequence[Centres]) -> tuple[float, int]:
+    def largest_difference(self, found: Sequence[FoundSpheres]) -> tuple[float, int]:
         """The largest distance of one ball between two exposures, in mm, and the ball; (0, 0) where no ball was found twice."""
         pairs = [(d, ball) for a, b in combinations(found, 2) for ball, d in _distances(a, b).items()]
         return max(pairs, default=(0.0, 0))
 
-    def learn(self, found: Sequence[Centres]) -> None:
+    def learn(self, found: Sequence[FoundSpheres]) -> None:
         """Take the scatter of a pose that was accepted as a sample of the noise."""
         distances = [d for a, b in combinations(found, 2) for d in _distances(a, b).values()]
         if distances:
             self._scatter_mm.append(MAD_TO_SIGMA * float(np.median(distances)) / np.sqrt(2.0))
 
-    def _limits(self, found: Sequence[Centres]) -> dict[int, float]:
+    def _limits(self, found: Sequence[FoundSpheres]) -> dict[int, float]:
         """Largest credible distance of each ball between two exposures, mm."""
         o = self._options
         known = max(self._stated or 0.0, float(np.median(self._scatter_mm)) if self._scatter_mm else 0.0)
@@ -60,7 +60,7 @@ class ExposureAgreement:
         return {ball: max(floor, o.agreement_sigmas * np.sqrt(2.0) * max(known, float(np.median(sigma)))) for ball, sigma in fitted.items()}
 
 
-def _distances(a: Centres, b: Centres) -> dict[int, float]:
+def _distances(a: FoundSpheres, b: FoundSpheres) -> dict[int, float]:
     """Distance (mm) of each ball that both exposures show."""
     _, i, j = np.intersect1d(a.ball, b.ball, return_indices=True)
     return dict(zip(a.ball[i].tolist(), np.linalg.norm(a.xyz[i] - b.xyz[j], axis=1).tolist(), strict=True))

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.acquisition.expected_view import Centres, mean_centres, predicted_centres
+from mbcacq.acquisition.expected_view import mean_centres, predicted_centres
 from mbcacq.acquisition.exposure_agreement import ExposureAgreement
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.placement import PlacementCheck
@@ -29,7 +29,7 @@ from mbcacq.spheres.found import FoundSpheres
 class BallFinder(Protocol):
     """Extracts ball centres from a scan."""
 
-    def __call__(self, points: np.ndarray, artefact: Artefact, *, expected: Sequence[int], predicted: np.ndarray) -> Centres:
+    def __call__(self, points: np.ndarray, artefact: Artefact, *, expected: Sequence[int], predicted: np.ndarray) -> FoundSpheres:
         """The balls found. points: (N, 3) mm; expected: (k,) ids; predicted: (k, 3) mm, all in the scanner frame."""
         ...
 
@@ -58,12 +58,12 @@ class GatedExposures:
         self._agreement = ExposureAgreement(plan.scanner.noise_mm, self.options)
         self._prediction = ViewPrediction(self.loaded.cell, plan.station_tolerance_mm, self.options)
 
-    def take(self, pose: PlannedPose, q: np.ndarray, first: bool) -> tuple[list[Centres], str]:
+    def take(self, pose: PlannedPose, q: np.ndarray, first: bool) -> tuple[list[FoundSpheres], str]:
         """The exposures of a pose that agree, and ''; or, if the pose is to be left out, what they contradict, as a clause.
 
         q: (n,) rad as reached; ``first`` at its station. Raises Misplaced, and what the scanner raises.
         """
-        taken: list[Centres] = []
+        taken: list[FoundSpheres] = []
         contradiction, number = "", 0
         if first:
             self._prediction.new_station()
@@ -90,16 +90,16 @@ class GatedExposures:
         self._prediction.learn(pose, mean.ball, mean.xyz)
         return found, ""
 
-    def _scans_of_part(self, pose: PlannedPose) -> tuple[list[Centres], str]:
+    def _scans_of_part(self, pose: PlannedPose) -> tuple[list[FoundSpheres], str]:
         """Exposures of a surface, which have no balls and are judged when they are merged."""
         for exposure in range(pose.exposures):
             scan = self._capture()
             self._report_scan(pose, exposure, scan)
             if not len(scan.points):
                 return [], "its scan shows no point of the part"
-        return [FoundSpheres.nothing() for _ in range(pose.exposures)], ""
+        return [FoundSpheres.of() for _ in range(pose.exposures)], ""
 
-    def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[Centres], int]:
+    def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[FoundSpheres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""
         found = self._expose(pose, 0)
         if not (sentence := self._misplacement(pose, q, found)):
@@ -110,19 +110,19 @@ class GatedExposures:
         self.bus.gap("exposure", f"pose {pose.number}: {sentence}, but not in a second exposure; the first was left out", pose.number)
         return [again], 2
 
-    def _misplacement(self, pose: PlannedPose, q: np.ndarray, found: Centres) -> str:
+    def _misplacement(self, pose: PlannedPose, q: np.ndarray, found: FoundSpheres) -> str:
         if len(found.ball) == 0 and not self.asks_a_person:
             return ""  # nobody to ask: the pose is left out, and more of them end the run
         return self.placement.fault(pose, q, found.ball, found.xyz)
 
-    def _expose(self, pose: PlannedPose, exposure: int) -> Centres:
+    def _expose(self, pose: PlannedPose, exposure: int) -> FoundSpheres:
         scan = self._capture()
         self._report_scan(pose, exposure, scan)
         return self._report_centres(pose, exposure, self._balls(pose, scan))
 
-    def _needed(self, pose: PlannedPose, exposures: Sequence[int]) -> Iterator[Centres]:
+    def _needed(self, pose: PlannedPose, exposures: Sequence[int]) -> Iterator[FoundSpheres]:
         """Exposures that are taken whatever they show: the balls of one are looked for while the scanner takes the next."""
-        pending: tuple[int, Future[Centres]] | None = None
+        pending: tuple[int, Future[FoundSpheres]] | None = None
         with ThreadPoolExecutor(1) as worker:
             for exposure in exposures:
                 try:
@@ -139,7 +139,7 @@ class GatedExposures:
     def _capture(self) -> Scan:
         return self.scanner.capture(self.loaded.plan.scanner.exposure_us)
 
-    def _balls(self, pose: PlannedPose, scan: Scan) -> Centres:
+    def _balls(self, pose: PlannedPose, scan: Scan) -> FoundSpheres:
         cell = self.loaded.cell
         return self.find_balls(scan.points, cell.artefact(pose.artefact), expected=pose.balls, predicted=predicted_centres(cell, pose))
 
@@ -150,11 +150,11 @@ class GatedExposures:
         for warning in scan.warnings:
             self.bus.message("warning", f"pose {pose.number}: {warning}")
 
-    def _report_centres(self, pose: PlannedPose, exposure: int, found: Centres) -> Centres:
+    def _report_centres(self, pose: PlannedPose, exposure: int, found: FoundSpheres) -> FoundSpheres:
         self.bus.emit(events.CentresFound, pose.number, exposure, found.ball, found.xyz, found.n_points, found.rms_mm)
         return found
 
-    def _contradiction(self, pose: PlannedPose, found: Centres, first: bool) -> str:
+    def _contradiction(self, pose: PlannedPose, found: FoundSpheres, first: bool) -> str:
         """What one exposure contradicts, as a clause, or ''."""
         plan = self.loaded.plan
         if not np.all(np.isfinite(found.xyz)):
@@ -173,16 +173,16 @@ class GatedExposures:
             return f"its balls appear {away:.1f} mm from where the earlier poses at station '{pose.station}' put them"
         return ""
 
-    def _complete(self, pose: PlannedPose, taken: list[Centres]) -> list[int]:
+    def _complete(self, pose: PlannedPose, taken: list[FoundSpheres]) -> list[int]:
         """Indices of the exposures that agree, as soon as they are enough and the majority; else none."""
         agreeing = self._agreement.majority(taken) or []
         return agreeing if len(agreeing) >= pose.exposures else []
 
-    def _difference(self, taken: list[Centres]) -> str:
+    def _difference(self, taken: list[FoundSpheres]) -> str:
         distance, ball = self._agreement.largest_difference(taken)
         return f"its exposures differ by {distance:.2f} mm at ball {ball}"
 
-    def _name_left_out(self, pose: PlannedPose, taken: list[Centres], kept: list[int]) -> None:
+    def _name_left_out(self, pose: PlannedPose, taken: list[FoundSpheres], kept: list[int]) -> None:
         out = sorted(set(range(len(taken))) - set(kept))
         text = f"pose {pose.number}: {self._difference(taken)}; {len(out)} of {len(taken)} exposures were left out"
         if max(out) < min(kept):  # one place before, another one after

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,8 +19,9 @@ from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.acquisition.sweep_measurement import LEAST_PROFILES, StreamBroke, line_scanner, take_sweep
-from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, SafetyStop
+from mbcacq.devices import ConfigError, DeviceFault, MbcacqError, RobotState, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.spheres.found import FoundSpheres
 
 BUMPED = "was the artefact bumped or the scanner's mount? Put it right and resume the run with --again"
 
@@ -53,18 +54,13 @@ class PoseMeasurement:
         The pose is measured a second time where the arm moved during the exposures. Raises Misplaced, SafetyStop if the arm moved
         both times, and what the devices raise.
         """
-        about = (pose.number, pose.station, pose.phase, pose.step_name)
         if pose.sweep is not None:
-            return self._swept(pose, about)
+            return self._swept(pose)
         for left in (1, 0):
-            self.bus.state("moving")
-            reached = self.mover.go(pose.q)
+            reached = self._reach(pose)
             if self.loaded.plan.robot.follow is not None:
                 pose = replace(pose, q=reached.q)  # taken where it stands
-            self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
-            self.bus.state("scanning")
             self.collector.mark()
-            self.facts.mark()
             found, contradiction = self.exposures.take(pose, reached.q, first)
             now = self.devices.robot.state()  # raises what stopped the arm meanwhile
             cycles = self.collector.since_mark()
@@ -75,68 +71,48 @@ class PoseMeasurement:
         sensors = self._read_sensors(pose)
         facts = self.facts.values
         if changed := self.facts.since_mark():
-            self._leave_out(pose, changed, "set it back as it was, and resume the run")
-            return False
+            return self._leave_out(pose, changed, "set it back as it was, and resume the run")
         if contradiction:
-            self._leave_out(pose, contradiction, BUMPED)
-            return False
-        arm: ArmAtPose = {
-            "q": q,
-            "direction": self.mover.direction.copy(),
-            "robot_time_s": reached.time_s,
-            "current": current,
-            "sensors": sensors,
-            "facts": facts,
-        }
-        if not emit_observation(self.bus, pose, found, self.loaded.plan.accept.min_balls, pose.step_name, arm):
+            return self._leave_out(pose, contradiction, BUMPED)
+        measured: ArmAtPose = {"q": q, "current": current, "sensors": sensors, "facts": facts}
+        return self._done(pose, found, self.loaded.plan.accept.min_balls, reached, measured)
+
+    def _reach(self, pose: PlannedPose) -> RobotState:
+        self.bus.state("moving")
+        reached, about = self.mover.go(pose.q), (pose.number, pose.station, pose.phase, pose.step_name)
+        self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
+        self.bus.state("scanning")
+        self.facts.mark()
+        return reached
+
+    def _done(self, pose: PlannedPose, found: Sequence[FoundSpheres], min_balls: int, reached: RobotState, measured: ArmAtPose) -> bool:
+        arm: ArmAtPose = {"direction": self.mover.direction.copy(), "robot_time_s": reached.time_s, **measured}
+        if not emit_observation(self.bus, pose, found, min_balls, pose.step_name, arm):
             return False
         self._in_a_row = 0
         return True
 
-    def _swept(self, pose: PlannedPose, about: tuple[int, str, str, str]) -> bool:
+    def _swept(self, pose: PlannedPose) -> bool:
         """A sweep; its balls are found once all of them are there, with the clock of the scanner."""
         if not isinstance(self.mover, Mover):
             raise ConfigError("the run follows an arm that it does not move, which cannot sweep; leave out the steps 'sweep', or follow")
         scanner = line_scanner(self.devices.scanner)
-        self.bus.state("moving")
-        reached = self.mover.go(pose.q)
-        self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
-        self.bus.state("scanning")
-        self.facts.mark()
+        reached = self._reach(pose)
         try:
             profiles = take_sweep(pose, self.loaded, scanner, self.bus, self.mover, self.collector)
         except StreamBroke as broken:
-            self._leave_out(pose, str(broken), "look at the sensor, its cable and its network")
-            return False
+            return self._leave_out(pose, str(broken), "look at the sensor, its cable and its network")
         if profiles.lost:
             self.bus.gap("profiles", f"pose {pose.number}: the scanner lost {profiles.lost} of its profiles", pose.number)
         if changed := self.facts.since_mark():
-            self._leave_out(pose, changed, "set it back as it was, and resume the run")
-            return False
+            return self._leave_out(pose, changed, "set it back as it was, and resume the run")
         if len(profiles) < LEAST_PROFILES:
-            self._leave_out(pose, f"the scanner sent {len(profiles)} profiles", "look at its trigger, exposure and field of view")
-            return False
-        nothing = np.zeros(0)
-        self.bus.emit(
-            events.PoseDone,
-            *about,
-            q=reached.q,
-            direction=self.mover.direction.copy(),
-            robot_time_s=reached.time_s,
-            ball=nothing,
-            xyz=np.zeros((0, 3)),
-            n_points=nothing,
-            rms_mm=nothing,
-            scatter_mm=np.zeros((0, 3)),
-            n_exposures=1,
-            sensors=self._read_sensors(pose),
-            facts=self.facts.values,
-        )
-        self._in_a_row = 0
-        return True
+            return self._leave_out(pose, f"the scanner sent {len(profiles)} profiles", "look at its trigger, exposure and field of view")
+        measured: ArmAtPose = {"q": reached.q, "sensors": self._read_sensors(pose), "facts": self.facts.values}
+        return self._done(pose, [FoundSpheres.nothing()], 0, reached, measured)
 
-    def _leave_out(self, pose: PlannedPose, contradiction: str, remedy: str) -> None:
-        """Name a pose whose exposures failed the checks, or whose devices were set up otherwise.
+    def _leave_out(self, pose: PlannedPose, contradiction: str, remedy: str) -> bool:
+        """False; names a pose whose exposures failed the checks, or whose devices were set up otherwise.
 
         Raises DeviceFault after several such poses in a row.
         """
@@ -146,6 +122,7 @@ class PoseMeasurement:
         self.bus.gap("pose", f"pose {pose.number} ({pose.step_name}): {contradiction}, pose left out", pose.number)
         if self._in_a_row >= self.options.poses_in_a_row:
             raise DeviceFault(f"{self._in_a_row} poses in a row were left out{self.last_reason}; {remedy}")
+        return False
 
     def _stood(self, cycles: Mapping[str, np.ndarray], q: np.ndarray, pose: PlannedPose, left: int) -> bool:
         """Whether the arm stood at the pose during its exposures, q (n,) rad being the mean of what it reported.

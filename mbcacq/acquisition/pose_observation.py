@@ -9,8 +9,9 @@ import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.acquisition.expected_view import Centres, mean_centres
+from mbcacq.acquisition.expected_view import mean_centres
 from mbcacq.plan import PlannedPose
+from mbcacq.spheres.found import FoundSpheres
 
 
 class ArmAtPose(TypedDict, total=False):
@@ -24,7 +25,7 @@ class ArmAtPose(TypedDict, total=False):
     facts: Mapping[str, str]
 
 
-def emit_observation(bus: EventBus, pose: PlannedPose, found: Sequence[Centres], min_balls: int, label: str, arm: ArmAtPose) -> bool:
+def emit_observation(bus: EventBus, pose: PlannedPose, found: Sequence[FoundSpheres], min_balls: int, label: str, arm: ArmAtPose) -> bool:
     """Emit ``PoseDone`` with the mean of the exposures that were kept, and return True; or a gap and False if they show too few balls.
 
     Parameters

@@ -178,7 +178,7 @@ def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: 
     return results[number - 1]
 
 
-UNVERIFIED = "never verified: no poses were kept apart to check these values; verify them before they are relied upon"
+UNVERIFIED = "never verified: no measurement apart from the fit has checked these values (mbcacq verify); do so before they are relied upon"
 
 
 def export_command(result: Mapping[str, Any], source: object) -> str:

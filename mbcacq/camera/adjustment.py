@@ -22,6 +22,7 @@ from mbcacq.geometry import se3
 ROUNDS = 12
 GROSS = 5.0  # sigma of a coordinate, beyond which a point is no part of the board
 CONTRADICTS = 4.0  # times the usual rms of an image, beyond which it contradicts itself
+LEAST_CONTRADICTION_PX = 0.5  # detectors place corners within 0.1 px; an image that is blurred has so much noise, which counts as its own
 MOST_GROSS = 0.3  # of the points of an image that may be gross errors
 IMAGE_DOF = 20.0  # degrees of freedom by which the noise of all images counts as that of each
 UNKNOWN_FOCAL = 0.03  # relative uncertainty (k = 1) of the focal length, beyond which images determine no intrinsics
@@ -196,7 +197,7 @@ class _Problem:
                 "directions, or give --camera FILE"
             )
         bad = (
-            (rms > CONTRADICTS * np.median(rms))
+            (rms > max(CONTRADICTS * float(np.median(rms)), LEAST_CONTRADICTION_PX))
             | (gross > MOST_GROSS * (gross + used))
             | (used < min(LEAST_POINTS, len(self.board.points)))
         )

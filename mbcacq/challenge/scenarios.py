@@ -11,17 +11,7 @@ from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import AsJson
 
-OUTSIDE = (
-    "axis_wobble",
-    "cable_drag",
-    "floor_heave",
-    "fringe_ripple",
-    "link_bending",
-    "loose_anchor",
-    "short_memory",
-    "spalled_raceway",
-    "taut_hose",
-)
+OUTSIDE = tuple("axis_wobble cable_drag floor_heave fringe_ripple link_bending loose_anchor short_memory spalled_raceway taut_hose".split())
 NONE, TWO = "none", "two"
 WEAKEST, STRONGEST = 0.05, 10.0  # by how much of the noise the effect raises chi2 per degree of freedom
 
@@ -83,18 +73,7 @@ def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, mis
         excess = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
         pair = tuple(str(v) for v in rng.choice(alone, 2, replace=False))
         names = {NONE: (), TWO: pair}.get(kind, (kind,))
-        out.append(
-            Scenario(
-                number=number,
-                kind=kind,
-                seed=cell,
-                names=names,
-                effect_seed=effect,
-                excess=excess,
-                outliers=outliers,
-                missing=tuple(missing),
-            )
-        )
+        out.append(Scenario(number, kind, cell, names, effect, excess, outliers, missing=tuple(missing)))
     return out
 
 

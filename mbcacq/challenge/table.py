@@ -26,16 +26,10 @@ COLUMNS = (
 
 def summary(scores: Sequence[Score]) -> list[dict[str, Any]]:
     """One row a kind, then one for the whole catalogue, one for what lies outside it, one for clean cells, as far as there are any."""
-    rows = []
-    for kind in dict.fromkeys(s.kind for s in scores):
-        rows.append(row(kind, [s for s in scores if s.kind == kind]))
+    rows = [row(kind, [s for s in scores if s.kind == kind]) for kind in dict.fromkeys(s.kind for s in scores)]
     inside = [s for s in scores if s.kind != NONE and s.kind not in OUTSIDE]
     outside = [s for s in scores if s.kind in OUTSIDE]
-    if inside:
-        rows.append(row("all catalogued", inside))
-    if outside:
-        rows.append(row("all outside", outside))
-    return rows
+    return rows + [row(name, some) for name, some in (("all catalogued", inside), ("all outside", outside)) if some]
 
 
 def row(kind: str, scores: Sequence[Score]) -> dict[str, Any]:

@@ -8,6 +8,8 @@ import io
 import os
 import re
 import sys
+import traceback
+from pathlib import Path
 from typing import NoReturn
 
 import click
@@ -63,11 +65,39 @@ def refused_by_the_system(error: Exception) -> str:
     return ""
 
 
+def place_in_a_given_file(error: Exception) -> str:
+    """'FILE:LINE' of the Python file that the command was given (an effect of the user's), where the error arose in it; else ''."""
+    given = {Path(word.rpartition("=")[2]).resolve() for word in sys.argv[1:] if word.endswith(".py")}
+    places = re.findall(r'File "(.+?)", line (\d+)', "".join(traceback.format_exception(error)))
+    return next((f"{file}:{line}" for file, line in reversed(places) if Path(file).resolve() in given), "")
+
+
 def end_interrupted(how: BaseException | None = None) -> NoReturn:
     """End with the sentence and the code of what a signal raised."""
     echo(f"mbcacq: {how}" if isinstance(how, MbcacqError) else "mbcacq: interrupted", err=True)
     say_after_failure()
     sys.exit(how.exit_code if isinstance(how, MbcacqError) else ExitCode.INTERRUPTED)
+
+
+def end_unexpected(error: Exception) -> NoReturn:
+    """End with the sentence and the code of an error that none of ours is."""
+    if os.environ.get("MBCACQ_DEBUG"):
+        raise error
+    if ended := ended_by_signal():  # a library made another error of it
+        end_interrupted(ended)
+    if isinstance(error, OSError) and error.errno in FULL:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
+        where = error.filename or "the output"
+        echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
+        sys.exit(ExitCode.RECORDING_FAILED)
+    if sentence := refused_by_the_system(error):
+        echo(f"mbcacq: {sentence}", err=True)
+        sys.exit(ExitCode.SYSTEM_REFUSED)
+    if given := place_in_a_given_file(error):
+        echo(f"mbcacq: {given}: {type(error).__name__}: {error}; correct this file", err=True)
+        sys.exit(ExitCode.USAGE)
+    echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
+    sys.exit(ExitCode.BUG)
 
 
 class LazyGroup(click.Group):
@@ -120,20 +150,7 @@ class LazyGroup(click.Group):
             say_after_failure()
             sys.exit(error.exit_code)
         except Exception as error:
-            if os.environ.get("MBCACQ_DEBUG"):
-                raise
-            if ended := ended_by_signal():  # a library made another error of it
-                end_interrupted(ended)
-            if isinstance(error, OSError) and error.errno in FULL:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where not even our words find room
-                where = error.filename or "the output"
-                echo(f"mbcacq: no space is left where it writes to ({where}); free some and try again", err=True)
-                sys.exit(ExitCode.RECORDING_FAILED)
-            if sentence := refused_by_the_system(error):
-                echo(f"mbcacq: {sentence}", err=True)
-                sys.exit(ExitCode.SYSTEM_REFUSED)
-            echo(f"mbcacq: unexpected {type(error).__name__}: {error} (a bug: please report it; MBCACQ_DEBUG=1 shows where)", err=True)
-            sys.exit(ExitCode.BUG)
+            end_unexpected(error)
 
 
 EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" for code in ExitCode) + "."

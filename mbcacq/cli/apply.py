@@ -60,7 +60,7 @@ def command(
         positions, matched = arm_positions.positions_in(poses, known, clouds, orientation)
     else:
         clouds = [cloud]
-        positions = [arm_positions.typed_joints(joints) if joints is not None else arm_positions.typed_flange(flange or "", orientation)]
+        positions = [arm_positions.typed_flange(flange or "", orientation) if joints is None else arm_positions.typed_joints(joints, known)]
     outputs = _outputs(clouds, out or cloud.with_name(f"{cloud.name}_base"), force) if poses else _output(cloud, out, force)
     placed = []
     with StepProgress() as steps:

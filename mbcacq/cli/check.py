@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
@@ -46,12 +46,7 @@ def command(
 
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = motion.operator(
-        steps,
-        began=lambda folder: on_failure(
-            "where all poses were measured, judge them", command_line("check", result, plan, "--from", folder), folder / "run.rrd"
-        ),
-    )
+    operator = motion.operator(steps, "where all poses were measured, judge them", "check", result, plan, "--from")
     loaded = mbcacq.load_plan(plan)
     settings = CheckSettings(poses, not placed_anew, folder=out, part=part)
     with steps:
@@ -74,14 +69,12 @@ def lines_of(done: InterimCheck) -> list[str]:
     from mbcacq.interim_check.words import odds, size_in_words, size_of
 
     v, days = done.verdict, len(done.history.days)
-    sentence = done.sentence
-    out = [f"{capitalised(sentence)}."]
+    out = [f"{capitalised(done.sentence)}."]
     since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
     levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
     out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
-    for s in v.suspects:
-        out.append(f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else ""))
+    out += [f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else "") for s in v.suspects]
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
         out += [f"  {name} ({where}): {size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]

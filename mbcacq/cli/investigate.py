@@ -9,7 +9,7 @@ import click
 import mbcacq
 from mbcacq.cli.calibrate import lines_of
 from mbcacq.cli.declared import Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import command_line, forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.signals import end_in_order_on_signals
@@ -45,12 +45,7 @@ def command(
     """
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = motion.operator(
-        steps,
-        began=lambda folder: on_failure(
-            "go on where it ended", command_line("investigate", *motion.repeated, "--resume", folder), folder / "run.rrd"
-        ),
-    )
+    operator = motion.operator(steps, "go on where it ended", "investigate", *motion.repeated, "--resume")
     budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:
         going = mbcacq.investigate(

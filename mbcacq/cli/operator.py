@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbcacq.cli.declared import option
+from mbcacq.cli.next_step import command_line, on_failure
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
@@ -26,9 +26,10 @@ class MotionOptions:
     seed: int = option("Seed of the fake cell, and of the views that an investigation chooses from.", default=0)
 
     def operator(
-        self, steps: StepProgress, began: Callable[[Path], None], artefact_moved: Callable[[str], bool] = lambda station: False
+        self, steps: StepProgress, why: str, *words: object, artefact_moved: Callable[[str], bool] = lambda station: False
     ) -> Operator:
-        """The person at the terminal. steps: shows what takes long. began, artefact_moved: as of an operator."""
+        """The person at the terminal. steps: shows what takes long. why, words: what an interrupted run is gone on with, and the command
+        but for its last word, the folder. artefact_moved: as of an operator."""
         from mbcacq.cli.arming import ask_before_motion
         from mbcacq.cli.progress import RunProgress
         from mbcacq.cli.stepping import KeyPause
@@ -42,7 +43,7 @@ class MotionOptions:
             progress=steps.begin,
             subscribers=(RunProgress(steps.begin),),
             assume_yes=self.yes,
-            began=began,
+            began=lambda folder: on_failure(why, command_line(*words, folder), folder / "run.rrd"),
         )
 
     @property

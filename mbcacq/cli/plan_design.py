@@ -111,19 +111,26 @@ def refuse_taken(target: Path, force: bool, beside: Path | None = None) -> None:
         raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {beside}")
 
 
+def write_whole(text: str, out: Path) -> None:
+    """Write a plan, none of whose poses has an error."""
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.plan import expand, load, refuse_errors
+
+    new = load(out, text)
+    refuse_errors(new, expand(new))
+    write_file(out, text)
+
+
 def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Choose views of a part, write the plan, and say what they show."""
     from mbcacq.design.part_coverage import design_part
-    from mbcacq.files.atomic_write import write_file
     from mbcacq.files.mesh_file import read_mesh
-    from mbcacq.plan import expand, load, refuse_errors
+    from mbcacq.plan import load
 
     refuse_taken(out, force, beside=plan)
     with StepProgress("choosing views by the surface that they show"):
         found = design_part(load(plan), None if part == Path() else read_mesh(part), tilt, seed)
-        new = load(out, found.text)
-        refuse_errors(new, expand(new))
-        write_file(out, found.text)
+        write_whole(found.text, out)
     figures = {"views": found.views, "covered": found.covered, "visible": found.visible, "tried": found.tried}
     return Answer(
         {"format": "mbcacq-part-design/1", "plan": str(out), **figures},
@@ -138,15 +145,12 @@ def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force:
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Order a plan, write it, and say what its blocks carry."""
     from mbcacq.design.adaptive.plan_order import ordered
-    from mbcacq.files.atomic_write import write_file
-    from mbcacq.plan import expand, load, refuse_errors
+    from mbcacq.plan import load
 
     refuse_taken(out, force, beside=plan)
     with StepProgress("leaving out what is missed least, pose by pose"):
         found = ordered(load(plan), count, tilt, seed)
-        new = load(out, found.text)
-        refuse_errors(new, expand(new))
-        write_file(out, found.text)
+        write_whole(found.text, out)
     ends = [sum(found.blocks[: k + 1]) for k in range(len(found.blocks))]
     shares = dict(zip(map(str, ends), found.shares, strict=True))
     lines = [

@@ -11,7 +11,7 @@ import click
 import mbcacq
 from mbcacq.cli.calibrate import answer_of_run
 from mbcacq.cli.declared import Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, forget_failure, on_failure
+from mbcacq.cli.next_step import forget_failure
 from mbcacq.cli.operator import MotionOptions
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
@@ -55,9 +55,7 @@ def command(
     steps = StepProgress()
     operator = motion.operator(
         steps,
-        began=lambda folder: on_failure(
-            "go on where it ended", command_line("run", *motion.repeated, "--resume", folder), folder / "run.rrd"
-        ),
+        *("go on where it ended", "run", *motion.repeated, "--resume"),
         artefact_moved=lambda station: False if motion.dry_run or motion.yes else ask_whether_moved(station),
     )
     with steps:

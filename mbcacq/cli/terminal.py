@@ -25,19 +25,9 @@ _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u206
 
 
 # How quantities are written where the terminal has no such character.
-LETTERS = {
-    "µ": "u",
-    "±": "+-",
-    "°": " deg",
-    "·": "*",
-    "×": "x",
-    "–": "-",
-    "χ": "chi",
-    "²": "2",
-    "θ": "theta",
-    "α": "alpha",
-    "β": "beta",
-} | {sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)}
+LETTERS = dict(zip("µ±°·×–χ²θαβ", "u,+-, deg,*,x,-,chi,2,theta,alpha,beta".split(","), strict=True)) | {
+    sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)
+}
 
 
 def printable(text: str) -> str:

@@ -172,25 +172,15 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
         robot["options"] = {"address": "127.0.0.1", "port": 54610}
     home = _home(spec, PoseSpec.model_validate(scanner["hand_eye"]).transform())
     robot |= {"speed": 0.3, "settle_s": 0.3, "home_deg": [float(v) for v in home]}
+    if spec.name.startswith("FANUC "):  # J3 of their controllers is counted from the horizontal
+        robot["controller_joints"] = {"couplings": [{"axis": 3, "of": 2, "factor": -1}]}
     if track is not None:
-        axis = {
-            "name": "E1",
-            "type": "prismatic",
-            "carries": "arm",
-            "direction": [1, 0, 0],
-            "limits_mm": list(track),
-            "speed_mm_s": TRACK_MM_S,
-        }
+        axis = {"name": "E1", "type": "prismatic", "carries": "arm", "direction": [1, 0, 0]}
+        axis |= {"limits_mm": list(track), "speed_mm_s": TRACK_MM_S}
         robot |= {"external_axes": [axis], "home_external": [sum(track) / 2]}
-    return {
-        "format": "mbcacq-plan/1",
-        "name": f"{spec.name} with {artefact.name or artefact.id}",
-        "robot": robot,
-        "scanner": scanner["scanner"],
-        "positioner": {"driver": "manual"},
-        "hand_eye": scanner["hand_eye"],
-        "artefacts": [names[request.artefact]],
-    }
+    named = {"format": "mbcacq-plan/1", "name": f"{spec.name} with {artefact.name or artefact.id}", "robot": robot}
+    devices = {"scanner": scanner["scanner"], "positioner": {"driver": "manual"}, "hand_eye": scanner["hand_eye"]}
+    return {**named, **devices, "artefacts": [names[request.artefact]]}
 
 
 def _reach(spec: RobotSpec) -> tuple[float, np.ndarray]:

@@ -10,7 +10,6 @@ from mbcacq.errors import ConfigError
 from mbcacq.exports.format import ExportedResult, ExportFormat, Targets, formats
 from mbcacq.exports.marks import with_comments
 from mbcacq.exports.mount import UndeterminedMount
-from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 
 
@@ -44,8 +43,3 @@ def _files(one: ExportFormat, exported: ExportedResult) -> Mapping[str, str | by
         if one.name in exported.targets.only:
             raise
         return {}
-
-
-def write_folder(files: Mapping[str, bytes], folder: Path) -> list[Path]:
-    """Write the files. Raises RecordingError if that fails."""
-    return write_files(folder, files)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.result_io import state_from_dict
 from mbcacq.geometry import orientations
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import in_degrees
@@ -58,15 +59,9 @@ def tool_frames_csv(result: Mapping[str, Any], T: np.ndarray) -> str:
 
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     """Measured minus predicted of every centre of the calibrated poses, in the scanner frame."""
-    from mbcacq.calibration.result_io import effects_of, state_from_dict
-    from mbcacq.report.sources.measured import calibrated_poses, residuals
+    from mbcacq.report.sources.measured import residuals
 
-    used = calibrated_poses(observations, dict(result))
-    rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
-    noise = result["noise"]
-    found = residuals(
-        used, state_from_dict(dict(result), observations.cell), noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(result)
-    )
+    found = residuals(observations, result, state_from_dict(dict(result), observations.cell))
     assert found.weighted is not None, "a result has noise, by which the residuals are weighted"
     assert found.outlier is not None, "residuals of observations say which are rejected"
     rows = zip(found.pose, found.phase, found.ball, found.xyz, found.weighted, found.outlier, strict=True)

@@ -72,6 +72,20 @@ def inside_folder(path: Path | str, folder: Path | None = None) -> Path:
     return target
 
 
+def own_file(path: Path | str) -> Path:
+    """``inside_folder`` for a file that is appended to: one with a further name (a hard link) becomes a copy; the other would grow."""
+    target = inside_folder(path)
+    if target.is_file() and target.stat().st_nlink > 1:
+        write_file(target, target.read_bytes())
+    return target
+
+
+def fresh(path: Path) -> Path:
+    """The path of a temporary file of ours; what stands there, of a killed process or a link in a folder from somebody else, is removed."""
+    _remove(path)
+    return inside_folder(path)
+
+
 @contextmanager
 def replacing(path: Path | str, *, folder: Path | None = None) -> Iterator[Path]:
     """A temporary path beside ``path`` for a library that writes files itself; what stands there at the end of the block takes the name.
@@ -283,9 +297,7 @@ def _partial(target: Path) -> Path:
         for old in target.parent.iterdir():
             if _is_partial_of(stem, old.name) and time.time() - old.stat().st_mtime > ABANDONED_S:
                 _remove(old)
-    partial = target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}")
-    _remove(partial)  # a link of that name in a folder from somebody else
-    return partial
+    return fresh(target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}"))
 
 
 def _is_partial_of(name: str, partial: str) -> bool:

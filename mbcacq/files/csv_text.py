@@ -13,7 +13,7 @@ from typing import Any
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.bounded_read import bytes_of
-from mbcacq.files.instrument_forms import as_one_table
+from mbcacq.files.instrument_forms import as_number, as_one_table
 
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
 SEPARATORS = (",", ";", "\t")
@@ -127,7 +127,7 @@ def _without_empty_columns(path: Path, line: int, headings: list[str], rows: lis
     if keep < len(headings) and all(not any(map(str.strip, row[keep:])) for row in rows):
         rows = [row[:keep] if len(row) == len(headings) else row for row in rows]
         headings = headings[:keep]
-    if all(map(_is_number, headings)):
+    if all(as_number(name) is not None for name in headings):
         raise ConfigError(f"{path}:{line}: the first line holds numbers, so there is no header; write the names of the columns above it")
     for i, name in enumerate(headings, 1):
         if not name:
@@ -135,14 +135,6 @@ def _without_empty_columns(path: Path, line: int, headings: list[str], rows: lis
     if twice := next((name for name in headings if headings.count(name) > 1), None):
         raise ConfigError(f"{path}:{line}: column {twice} appears twice; remove one")
     return headings, rows
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 def _without_empty_end(row: list[str], width: int) -> list[str]:

@@ -37,13 +37,13 @@ def _of_scope(lines: Sequence[str]) -> list[str] | None:
     head = next((i for i, row in enumerate(cells) if row.count("Name") > 1), None)
     if head is None:  # one key for all channels, no times
         head = next((i for i, row in enumerate(cells) if row[0] == "Name" and len([c for c in row if c]) > 2), None)
-    first = None if head is None else next((i for i in range(head + 1, len(cells)) if _number(cells[i][0]) is not None), None)
+    first = None if head is None else next((i for i in range(head + 1, len(cells)) if as_number(cells[i][0]) is not None), None)
     if head is None or first is None:
         return None
     names = [(k + 1, name) for k, (key, name) in enumerate(zip(cells[head], cells[head][1:], strict=False)) if key == "Name"]
     out = ["\n"] * len(lines)
     out[head] = "\t".join(["Time [ms]", *(name for _, name in names)]) + "\n"
-    begin = _number(cells[first][0])
+    begin = as_number(cells[first][0])
     for i in range(first, len(cells)):
         row = cells[i]
         if row[0] in ("", "EOF"):
@@ -51,7 +51,7 @@ def _of_scope(lines: Sequence[str]) -> list[str] | None:
         times = {row[k - 1] for k, _ in names if k < len(row)}
         if len(times) > 1:
             return None
-        t = _number(row[0])
+        t = as_number(row[0])
         in_ms = row[0] if t is None or begin is None or begin < FILE_TIME else f"{(t - begin) * TICK_S * 1e3:.6g}"
         out[i] = "\t".join([in_ms, *(row[k] if k < len(row) else "" for k, _ in names)]) + "\n"
     return out
@@ -66,7 +66,7 @@ def _of_points(lines: Sequence[str]) -> list[str] | None:
     rows = [_cells_of(lines[i]) for i in body]
     if not rows or len({len(row) for row in rows}) > 1:
         return None
-    named = next((k for k, cell in enumerate(rows[0]) if _number(cell) is not None and len(rows[0]) - k >= _COORDINATES), None)
+    named = next((k for k, cell in enumerate(rows[0]) if as_number(cell) is not None and len(rows[0]) - k >= _COORDINATES), None)
     if named not in _POINT_WORDS and named != 0:
         return None
     said = [_cells_of(lines[i].strip().lstrip("/ ")) for i in comments]
@@ -95,7 +95,7 @@ def _cells_of(line: str) -> list[str]:
     return [cell.strip() for cell in (line.strip().split(separator) if separator else line.split())]
 
 
-def _number(cell: str) -> float | None:
+def as_number(cell: str) -> float | None:
     try:
         return float(cell.replace(",", "."))
     except ValueError:

@@ -10,24 +10,10 @@ from mbcacq.errors import ConfigError
 
 MAX_HEADER = 64 * 1024
 MAX_LINE = 500
-_TYPES = {  # as numpy calls them
-    "char": "i1",
-    "uchar": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int16": "i2",
-    "uint16": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "int32": "i4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+_NAMES = "char uchar int8 uint8 short ushort int16 uint16 int uint int32 uint32 float float32 double float64"
+_TYPES: dict[str, str] = dict(
+    zip(_NAMES.split(), "i1 u1 i1 u1 i2 u2 i2 u2 i4 u4 i4 u4 f4 f4 f8 f8".split(), strict=True)
+)  # as numpy calls them
 _TYPE = "(" + "|".join(_TYPES) + ")"
 _FORMAT = re.compile(r"format (ascii|binary_little_endian|binary_big_endian) 1\.0")
 _ELEMENT = re.compile(r"element ([!-~]{1,100}) (\d{1,10})")

@@ -11,8 +11,9 @@ SHOULDER, WRIST = 0.042, 0.42  # radius of the first link of the reach; of the l
 
 
 def link_radii(chain: Chain) -> np.ndarray:
-    """(n,) mm, from shoulder to wrist."""
-    return SHOULDER * float(np.sum(np.hypot(chain.a, chain.d))) * np.linspace(1.0, WRIST, chain.n)
+    """(m,) mm, from shoulder to wrist, of the m joints from the floor on: those that carry the artefact have a shape that nobody stated."""
+    reach = np.hypot(chain.a, chain.d)[chain.floor :]
+    return SHOULDER * float(np.sum(reach)) * np.linspace(1.0, WRIST, len(reach))
 
 
 def link_corners(chain: Chain) -> np.ndarray:
@@ -23,7 +24,10 @@ def link_corners(chain: Chain) -> np.ndarray:
     return se3.apply(step[:, None], corners)
 
 
-def arm_outline(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """(3 n, 3) mm in the base: the corners of all links at joint angles q (n,) rad."""
-    frames = chain.frames(q[None])[0, 1:]
-    return se3.apply(frames[:, None], link_corners(chain)).reshape(-1, 3)
+def arm_outline(chain: Chain, q: np.ndarray, of_foot: bool = False) -> np.ndarray:
+    """(3 m, 3) mm in the base: the corners of the links of ``link_radii`` at joint angles q (n,) rad. of_foot: in the frame of the arm's
+    foot, which stands where it is while a table turns."""
+    frames = chain.frames(q[None])[0]
+    if of_foot:
+        frames = se3.inverse(frames[chain.floor]) @ frames
+    return se3.apply(frames[1:, None], link_corners(chain))[chain.floor :].reshape(-1, 3)

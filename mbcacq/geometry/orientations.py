@@ -49,6 +49,8 @@ def to_matrices(values: np.ndarray, convention: str) -> np.ndarray:
     """
     if not is_convention(convention):
         raise ValueError(f"'{convention}' is no convention of orientations")
+    if values.shape[1:] != (size(convention),):
+        raise ValueError(f"{values.shape[1]} numbers are no {in_words(convention)}")
     if convention == "vector":
         return se3.rotation_exp(values)
     if convention == "matrix":

@@ -156,9 +156,7 @@ def _rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 def _undone(axis: np.ndarray, point: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(..., 4, 4) rotations back by angles about a line."""
     R = _rotation(axis, -angle)
-    T = np.zeros((*np.shape(angle), 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, point - R @ point, 1.0
-    return T
+    return se3.transform(R, point - R @ point)
 
 
 def _turned(axis: np.ndarray, angle: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -100,6 +100,15 @@ class RobotModel:
         """Positions, speeds .. (.., n) as people read them: deg of an axis that turns, mm of one that slides."""
         return np.where(self.chain.prismatic, values, in_degrees(values))
 
+    def drawn(self, q: np.ndarray) -> np.ndarray:
+        """Positions (.., n) as charts show them: deg, and cm of an axis that slides, which fits the scale of the angles."""
+        return np.where(self.chain.prismatic, q / 10, in_degrees(q))
+
+    @property
+    def drawn_axes(self) -> tuple[str, ...]:
+        """(n,) axes with the units of ``drawn``."""
+        return tuple(f"{name} / {'cm' if slides else '°'}" for name, slides in zip(self.axes, self.chain.prismatic.tolist(), strict=True))
+
     def in_words(self, q: np.ndarray) -> str:
         """A position (n,): 'A1 10.0° A2 ..'."""
         return " ".join(f"{name} {value:.1f}{self.unit(k)}" for k, (name, value) in enumerate(zip(self.axes, self.shown(q), strict=True)))

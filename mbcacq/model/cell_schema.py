@@ -12,33 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.chain_from_axes import carried
-from mbcacq.model import cell
-from mbcacq.model.bounds import (
-    Acceleration,
-    Angle,
-    AngleNoise,
-    Angles,
-    Direction,
-    Distance,
-    Expansion,
-    GearRatio,
-    Jerk,
-    JointAngle,
-    Length,
-    LinearAcceleration,
-    LinearJerk,
-    LinearSpeed,
-    Mass,
-    Noise,
-    PayloadMass,
-    Place,
-    Position,
-    Repeatability,
-    RoomTemperature,
-    RotationRow,
-    Speed,
-    Uncertainty,
-)
+from mbcacq.model import bounds, cell
 from mbcacq.quantities import from_degrees
 
 
@@ -61,7 +35,7 @@ def _rising(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-TemperatureRange = Annotated[tuple[RoomTemperature, RoomTemperature], AfterValidator(_rising)]
+TemperatureRange = Annotated[tuple[bounds.RoomTemperature, bounds.RoomTemperature], AfterValidator(_rising)]
 
 
 class Strict(BaseModel):
@@ -73,10 +47,10 @@ class Strict(BaseModel):
 class PoseSpec(Strict):
     """A frame: rotation matrix or KUKA angles A, B, C (deg), and translation (mm)."""
 
-    rotation: tuple[RotationRow, RotationRow, RotationRow] | None = None
-    abc_deg: Angles | None = None
-    translation_mm: Place = (0.0, 0.0, 0.0)
-    sigma_mm: Uncertainty | None = None
+    rotation: tuple[bounds.RotationRow, bounds.RotationRow, bounds.RotationRow] | None = None
+    abc_deg: bounds.Angles | None = None
+    translation_mm: bounds.Place = (0.0, 0.0, 0.0)
+    sigma_mm: bounds.Uncertainty | None = None
 
     def transform(self) -> np.ndarray:
         """(4, 4); a rotation matrix given with few digits is brought to the nearest rotation, one given in full is kept bit for bit."""
@@ -94,14 +68,14 @@ class JointSpec(Strict):
     type: Literal["revolute", "prismatic"] = "revolute"
     name: Annotated[str, Field(pattern=r"^[AE][1-9][0-9]?$")] | None = None
     carries: Literal["arm", "artefact"] = "arm"
-    limits_deg: tuple[JointAngle, JointAngle] = (-360.0, 360.0)
-    limits_mm: tuple[Position, Position] | None = None
-    speed_deg_s: Speed | None = None
-    speed_mm_s: LinearSpeed | None = None
-    acceleration_deg_s2: Acceleration | None = None
-    acceleration_mm_s2: LinearAcceleration | None = None
-    jerk_deg_s3: Jerk | None = None
-    jerk_mm_s3: LinearJerk | None = None
+    limits_deg: tuple[bounds.JointAngle, bounds.JointAngle] = (-360.0, 360.0)
+    limits_mm: tuple[bounds.Position, bounds.Position] | None = None
+    speed_deg_s: bounds.Speed | None = None
+    speed_mm_s: bounds.LinearSpeed | None = None
+    acceleration_deg_s2: bounds.Acceleration | None = None
+    acceleration_mm_s2: bounds.LinearAcceleration | None = None
+    jerk_deg_s3: bounds.Jerk | None = None
+    jerk_mm_s3: bounds.LinearJerk | None = None
     drive: cell.Drive | None = None
 
     @model_validator(mode="after")
@@ -151,14 +125,14 @@ class FollowsSpec(Strict):
 
 class LinkSpec(JointSpec):
     sign: Literal[-1, 1] = 1
-    theta_deg: Angle
-    d_mm: Position
-    a_mm: Position
-    alpha_deg: Angle
-    beta_deg: Angle = 0.0
-    mass_kg: Mass = 0.0
-    com_mm: Place = (0.0, 0.0, 0.0)
-    gear_ratio: GearRatio | None = None
+    theta_deg: bounds.Angle
+    d_mm: bounds.Position
+    a_mm: bounds.Position
+    alpha_deg: bounds.Angle
+    beta_deg: bounds.Angle = 0.0
+    mass_kg: bounds.Mass = 0.0
+    com_mm: bounds.Place = (0.0, 0.0, 0.0)
+    gear_ratio: bounds.GearRatio | None = None
     follows: FollowsSpec | None = None
 
 
@@ -170,8 +144,8 @@ class ExternalAxisSpec(JointSpec):
     """
 
     name: Annotated[str, Field(pattern=r"^E[1-9]$")] | None = None
-    direction: Direction
-    point_mm: Place = (0.0, 0.0, 0.0)
+    direction: bounds.Direction
+    point_mm: bounds.Place = (0.0, 0.0, 0.0)
 
 
 def in_order_of_chain(axes: Sequence[ExternalAxisSpec]) -> tuple[ExternalAxisSpec, ...]:
@@ -181,8 +155,8 @@ def in_order_of_chain(axes: Sequence[ExternalAxisSpec]) -> tuple[ExternalAxisSpe
 
 
 class PayloadSpec(Strict):
-    mass_kg: PayloadMass = 0.0
-    com_mm: Place = (0.0, 0.0, 0.0)
+    mass_kg: bounds.PayloadMass = 0.0
+    com_mm: bounds.Place = (0.0, 0.0, 0.0)
 
 
 class RobotSpec(Strict):
@@ -194,8 +168,8 @@ class RobotSpec(Strict):
     external_axes: tuple[ExternalAxisSpec, ...] = ()
     base_to_first_axis: PoseSpec | None = None
     payload: PayloadSpec = PayloadSpec()
-    base_to_gravity: Direction = (0.0, 0.0, -1.0)
-    repeatability_mm: Repeatability | None = None
+    base_to_gravity: bounds.Direction = (0.0, 0.0, -1.0)
+    repeatability_mm: bounds.Repeatability | None = None
     balancer: bool | None = None
 
     @model_validator(mode="after")
@@ -268,16 +242,16 @@ class BallSpec(Strict):
     """centre_mm may be missing where the artefact is not certified."""
 
     id: int
-    centre_mm: Place | None = None
-    diameter_mm: Distance = 0.0
+    centre_mm: bounds.Place | None = None
+    diameter_mm: bounds.Distance = 0.0
 
 
 class KnownLengthSpec(Strict):
     """The distance of two balls of an artefact that is not certified otherwise."""
 
     balls: tuple[int, int]
-    length_mm: Length
-    uncertainty_mm: Uncertainty = 0.0
+    length_mm: bounds.Length
+    uncertainty_mm: bounds.Uncertainty = 0.0
 
 
 class ArtefactSpec(Strict):
@@ -286,12 +260,12 @@ class ArtefactSpec(Strict):
 
     id: str
     name: str = ""
-    reference_temperature_C: RoomTemperature = 20.0
-    expansion_ppm_per_K: Expansion | None = None
-    uncertainty_mm: Uncertainty = 0.001
+    reference_temperature_C: bounds.RoomTemperature = 20.0
+    expansion_ppm_per_K: bounds.Expansion | None = None
+    uncertainty_mm: bounds.Uncertainty = 0.001
     balls: tuple[BallSpec, ...] = ()
     mesh: str | None = None  # relative to this file
-    box_mm: tuple[Place, Place] | None = None  # lowest and highest corner
+    box_mm: tuple[bounds.Place, bounds.Place] | None = None  # lowest and highest corner
     certificate: str | None = None
     certified: bool = True
     known_length: KnownLengthSpec | None = None
@@ -338,9 +312,9 @@ class ScannerSpec(Strict):
     relative standard uncertainty of its scale."""
 
     name: str = ""
-    noise_mm: tuple[Noise, Noise, Noise] | None = None
+    noise_mm: tuple[bounds.Noise, bounds.Noise, bounds.Noise] | None = None
     length_scale: Annotated[float, Field(gt=0, le=0.1)] | None = None
-    noise_deg: AngleNoise | None = None
+    noise_deg: bounds.AngleNoise | None = None
 
 
 # What people call who carries what; the first of each is how the program writes it.
@@ -355,7 +329,7 @@ class FlangePosesSpec(Strict):
     (ZYX, xyz, vector, wxyz ..), length and angle: units, where the headings do not say."""
 
     robot: str = "poses of the flange"
-    repeatability_mm: Repeatability | None = None
+    repeatability_mm: bounds.Repeatability | None = None
     orientation: str | None = None
     length: Literal["mm", "m"] | None = None
     angle: Literal["deg", "rad"] | None = None

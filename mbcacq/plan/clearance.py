@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.plan.collision import Body, arm_bodies, halves, station_bodies, surrounding_bodies
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.solid_distance import SolidDistance
@@ -38,9 +39,7 @@ class Closest:
 
 def clearance_of(loaded: LoadedPlan) -> Clearance:
     """The clearance of a plan, which remembers what it has examined."""
-    if "clearance" not in loaded.computed:
-        loaded.computed["clearance"] = Clearance(loaded)
-    return loaded.computed["clearance"]
+    return loaded.computed("clearance", lambda: Clearance(loaded))
 
 
 class Clearance:
@@ -50,16 +49,12 @@ class Clearance:
         self._loaded, self._chain = loaded, loaded.cell.robot.chain
         self._pairs: dict[str | None, list[Pair]] = {}
         self._spheres: dict[str | None, EnclosingSpheres] = {}
-        self._at: dict[tuple[bytes, str | None], Closest] = {}
-        self._along: dict[tuple[bytes, bytes, str | None, float], Closest | None] = {}
+        self._at, self._along = ComputedOnce(), ComputedOnce()
 
     def at(self, q: np.ndarray, station: str | None) -> Closest:
         """Closest bodies at q (n,) rad, with the artefact at ``station`` (None: put away). Two that are as far apart as can be asked of
         them do not count."""
-        key = q.tobytes(), station
-        if key not in self._at:
-            self._at[key] = self._closest(q, station)
-        return self._at[key]
+        return self._at((q.tobytes(), station), lambda: self._closest(q, station))
 
     def _closest(self, q: np.ndarray, station: str | None) -> Closest:
         pairs, frames = self.pairs(station), self._chain.frames(q[None])
@@ -81,9 +76,7 @@ class Clearance:
         than their distance, and is enough for most pairs.
         """
         key = start.tobytes(), end.tobytes(), station, needed
-        if key not in self._along:
-            self._along[key] = self._examined_segment(start, end, station, needed)
-        return self._along[key]
+        return self._along(key, lambda: self._examined_segment(start, end, station, needed))
 
     def _examined_segment(self, start: np.ndarray, end: np.ndarray, station: str | None, needed: float) -> Closest | None:
         pairs = self.pairs(station)

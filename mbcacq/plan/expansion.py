@@ -66,9 +66,7 @@ def expand(loaded: LoadedPlan) -> list[PlannedPose]:
 
 def expand_reachable(loaded: LoadedPlan) -> tuple[list[PlannedPose], list[Target]]:
     """The poses that can be reached, and the targets that cannot."""
-    if "expansion" not in loaded.computed:
-        loaded.computed["expansion"] = _expand(loaded)
-    poses, unreachable = loaded.computed["expansion"]
+    poses, unreachable = loaded.computed("expansion", lambda: _expand(loaded))
     return list(poses), list(unreachable)
 
 

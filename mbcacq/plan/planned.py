@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.model.cell import Cell
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.plan.limits import PlanningLimits
 from mbcacq.plan.schema import Plan
 
@@ -46,10 +47,10 @@ class LoadedPlan:
     files: dict[str, str] = field(default_factory=dict)
     planning: PlanningLimits = PlanningLimits()
     grown_from: int | None = None
-    computed: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)  # what follows from it, computed once
+    computed: ComputedOnce = field(default_factory=ComputedOnce, init=False, repr=False, compare=False)  # what follows from it
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "computed": {}}  # another process computes it anew
+        return {**self.__dict__, "computed": ComputedOnce()}  # another process computes it anew
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, SafetyStop
 from mbcacq.geometry import se3
+from mbcacq.model.computed_once import ComputedOnce
 from mbcacq.plan.clearance import Closest, clearance_of
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
@@ -106,9 +107,7 @@ def obstructed_sentence(loaded: LoadedPlan, poses: Sequence[PlannedPose], obstru
 
 def router_of(loaded: LoadedPlan) -> Router:
     """The router of a plan, which remembers the paths that it has found."""
-    if "router" not in loaded.computed:
-        loaded.computed["router"] = Router(loaded)
-    return loaded.computed["router"]
+    return loaded.computed("router", lambda: Router(loaded))
 
 
 class Router:
@@ -116,7 +115,7 @@ class Router:
 
     def __init__(self, loaded: LoadedPlan) -> None:
         self._loaded = loaded
-        self._found: dict[tuple[str, bytes, bytes], list[np.ndarray] | None] = {}
+        self._found = ComputedOnce()
         self.home = loaded.plan.robot.home
         self.clearance = clearance_of(loaded)
         self._needed = loaded.plan.clearance_mm
@@ -155,10 +154,8 @@ class Router:
         self, start: np.ndarray, end: np.ndarray, candidates: Iterable[list[np.ndarray]], station: str
     ) -> list[np.ndarray] | None:
         # A pose that itself is too close spoils every path to it: that is said once, by the check of the poses.
-        key = (station, start.tobytes(), end.tobytes())
-        if key not in self._found:
-            self._found[key] = next((w for w in candidates if self._free([start, *w, end], station)), None)
-        return self._found[key]
+        free = (w for w in candidates if self._free([start, *w, end], station))
+        return self._found((station, start.tobytes(), end.tobytes()), lambda: next(free, None))
 
     def _free(self, stops: list[np.ndarray], station: str) -> bool:
         return all(self.clearance.along_segment(x, y, station, self._needed) is None for x, y in pairwise(stops))

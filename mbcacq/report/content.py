@@ -337,19 +337,9 @@ class DiagnosisContent:
 
 @dataclass(frozen=True, kw_only=True)
 class PartContent:
-    """A part whose scans were merged.
-
-    Attributes
-    ----------
-    sentences : list[str]
-        How well the scans agree, and how far the part is from its design.
-    poses : list[str]
-        The poses of each of the k pairs of scans.
-    before_mm, after_mm, expected_mm : ndarray
-        (k,) 3D rms over the overlap of each pair.
-    x_mm, y_mm, deviation_mm : ndarray or None
-        (a,), (b,) and (b, a): map of the mean deviation from the design, NaN where there is no point; None without a design.
-    """
+    """A part whose scans were merged. sentences: how well the scans agree, and how far the part is from its design. poses: of each of the
+    k pairs of scans. before_mm, after_mm, expected_mm: (k,) 3D rms over the overlap of each pair. x_mm (a,), y_mm (b,), deviation_mm
+    (b, a): map of the mean deviation from the design, NaN where there is no point; None without a design."""
 
     sentences: list[str]
     poses: list[str]

@@ -205,14 +205,15 @@ def next_action(
     result with the effects found, if ``result`` is that one; plan: the plan of the run, '' if the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
+    at = with_effects or (name if plan else "result.json")  # a run holds its result, an observation set does not
     if of_flange_poses(result) or result.get("length_instrument"):
-        return Action(*VERIFY_ON_VIEWS, command_line("verify", name, "further-views.csv"))
+        return Action(*VERIFY_ON_VIEWS, command_line("verify", at, "further-views.csv"))
     action = None
     if not with_effects and found is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
     elif not with_effects and found is not None:
         action = _after_diagnosis(verdict, found, name, plan)
-    return action or _without_finding(verdict, spacing, name, with_effects, plan, export_command(result, with_effects or name))
+    return action or _without_finding(verdict, spacing, name, with_effects, plan, export_command(result, at))
 
 
 def measure_next(name: str, plan: str) -> str:

@@ -15,6 +15,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
+from mbcacq.plan.plausibility import looks_like_radians
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets.columns import flange_group, joint_angles, joint_columns, names_poses
 from mbcacq.recording.datasets.loose_table import TableOptions, directed, in_units
@@ -31,9 +32,13 @@ class ArmPosition:
     flange: bool = False
 
 
-def typed_joints(text: str) -> ArmPosition:
-    """Joint angles in deg with commas. Raises ConfigError."""
-    return ArmPosition(from_degrees(_numbers(text, "--joints", "give degrees with commas, such as 0,-90,90,0,30,0")))
+def typed_joints(text: str, result: Mapping[str, Any]) -> ArmPosition:
+    """Joint angles in deg with commas, of the arm of a result. Raises ConfigError, also for angles that look like radians."""
+    angles_deg = _numbers(text, "--joints", "give degrees with commas, such as 0,-90,90,0,30,0")
+    limits = result["robot"].get("limits")
+    if limits and (sentence := looks_like_radians(angles_deg, np.array(limits, dtype=float))):
+        raise ConfigError(f"--joints: {sentence}")
+    return ArmPosition(from_degrees(angles_deg))
 
 
 def typed_flange(text: str, orientation: str | None) -> ArmPosition:

@@ -97,9 +97,7 @@ def collect(
     with ExitStack() as held:
         if folder is not None and folder.is_dir():
             held.enter_context(write_lock(folder, "collect --resume"))
-        before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, CELL)
-        for sentence in before.repairs:
-            operator.message(sentence)
+        before = resuming.progress_before(folder, loaded, CELL, operator.message)
         if sources.joints is None:
             operator.message("joint angles are those of the plan; the arm's own log is given with --joints")
         found = pair_clouds(loaded, sources, done=before.done, operator=operator)

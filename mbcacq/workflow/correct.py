@@ -172,7 +172,10 @@ def correct(
         )
         for p, (name, line) in enumerate(zip(points.names, points.lines, strict=True))
     )
-    return Correction(file=output, points=corrected, left_alone=points.left_alone, notes=points.notes)
+    notes = points.notes
+    if output.suffix.lower() in LANGUAGE_MAKES["KUKA"][0] and output.stem.lower() != program.stem.lower():
+        notes += (f"a KUKA controller knows a program by its file: copy .src and .dat back together, both as {program.stem}",)
+    return Correction(file=output, points=corrected, left_alone=points.left_alone, notes=notes)
 
 
 def refuse_other_make(program: Path, robot: str) -> None:

@@ -93,10 +93,7 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     written = None if found.model is None else found.model.select(lambda t: is_written(t.name))
     options = replace(how.options or CalibrationOptions(), refuse=False)
     how.progress("writing what was found into the model")
-    if written:
-        cell = calibrate_with_effects(observations, options, written)
-    else:
-        cell = calibrate(observations, options)
+    cell = calibrate_with_effects(observations, options, written) if written else calibrate(observations, options)
     effects = () if found.poses is None else found.poses.effects
     return replace(found, simulation=write_into_model(arm, cell, effects))
 

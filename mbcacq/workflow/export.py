@@ -9,10 +9,10 @@ from typing import Any
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.errors import ConfigError
 from mbcacq.exports.certificate import read_certificate_file
-from mbcacq.exports.folder import contents, write_folder
+from mbcacq.exports.folder import contents
 from mbcacq.exports.format import Targets
 from mbcacq.exports.result_json import load_result
-from mbcacq.files.atomic_write import write_file
+from mbcacq.files.atomic_write import write_file, write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
 from mbcacq.recording.datasets.observation_set import write_observation_set
@@ -117,7 +117,7 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
     files = contents(result, targets, measured)
     for name in files:
         refuse_existing(folder / name, force, f"{folder} already holds {name}; give another folder, or --force to replace it")
-    for path in write_folder(files, folder):
+    for path in write_files(folder, files):
         yield {"file": str(path)} | marks
 
 

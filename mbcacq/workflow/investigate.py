@@ -127,9 +127,7 @@ class CellInvestigation:
         refuse_errors(grown, poses)
 
         fresh = not layout.parts(self.folder)
-        before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)
-        for sentence in before.repairs:
-            operator.message(sentence)
+        before = resuming.progress_before(None if fresh else self.folder, grown, cell, operator.message)
         settled = frozenset(range(self._settled))
         # A fake cell measures the whole of an interrupted visit once more: it does again what it would have done.
         done = settled if self.dry_run else before.done | settled

@@ -82,11 +82,11 @@ def _write(
     observations = data.fit.observations if isinstance(data, CalibratedCell) else as_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
-        result["gaps"] = [*_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]
+        result["gaps"] = [*find_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]
     if observations.cell.simulated:
         result["simulated"] = True
     progress("reading timing and health of the devices")
-    info = {} if run is None else _about(run)
+    info = {} if run is None else {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
     if diagnose and "diagnosis" not in info:
         info |= _diagnosis(observations, run, progress)
     progress("drawing the report")
@@ -109,14 +109,6 @@ def _result(data: CalibratedCell | Path | str, observations: Observations, progr
     if kept is None:
         kept = calibration.to_dict() | {"verification": calibration.verify(observations).to_dict()}
     return kept | {"accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict()}
-
-
-def _about(run: Path) -> dict[str, Any]:
-    return {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
-
-
-def _gaps(run: Path) -> list[str]:
-    return find_gaps(run)
 
 
 def _diagnosis(observations: Observations, run: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +15,22 @@ from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.load import load_observations
 
 
-def new_progress() -> Progress:
-    """The progress of a run that begins: no pose is measured."""
-    return Progress(frozenset(), 0, {})
-
-
-def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
-    """What an interrupted run has measured, its torn recordings made readable and its copies of the plan restored. A plan that has grown
-    (``workflow.extend``) was compared with that of the folder already.
+def progress_before(folder: Path | None, loaded: LoadedPlan, cell: str, message: Callable[[str], None]) -> Progress:
+    """What an interrupted run has measured, its torn recordings made readable and its copies of the plan restored, with a sentence on each
+    to ``message``; nothing of a run that begins, which has no folder. A plan that has grown (``workflow.extend``) was compared with that of
+    the folder already.
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
+    if folder is None:
+        return Progress(frozenset(), 0, {})
     progress = repair_and_read_progress(folder)
     kept = read_kept_plan(folder)
     if loaded.grown_from is None:
         refuse_change(folder, kept, loaded.text, loaded.files, cell)
-    return replace(progress, repairs=(*progress.repairs, *kept.repairs))
+    for sentence in (*progress.repairs, *kept.repairs):
+        message(sentence)
+    return progress
 
 
 def partial_stations(poses: Sequence[PlannedPose], before: Progress) -> list[str]:

@@ -168,9 +168,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     with ExitStack() as held:
         if folder is not None and folder.is_dir():
             held.enter_context(write_lock(folder, "run --resume"))
-        before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
-        for sentence in before.repairs:
-            operator.message(sentence)
+        before = resuming.progress_before(folder, loaded, cell, operator.message)
         targets = _targets(loaded, poses, corrected, folder, dry_run, operator)
         poses = poses if targets is None else targets.steer(poses)
         done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)

@@ -1,6 +1,7 @@
 """The runner: order of events, means, and a robot at rest whatever happens."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,21 +54,8 @@ def world():
             "steps": [{"do": "joints", "name": "s", "phase": "position", "station": "a", "poses_deg": [[0] * 6]}],
         }
     )
-    poses = [
-        PlannedPose(
-            number=k,
-            step=0 if k < 2 else 1,
-            step_name="s",
-            phase="position",
-            station="ab"[k // 2],
-            artefact="mbc",
-            q=np.full(6, 0.1 * (k + 1)),
-            balls=(1, 2, 3, 4),
-            exposures=3,
-            line=9,
-        )
-        for k in range(4)
-    ]
+    given = {"step_name": "s", "phase": "position", "artefact": "mbc", "balls": (1, 2, 3, 4), "exposures": 3, "line": 9}
+    poses = [PlannedPose(number=k, step=k // 2, station="ab"[k // 2], q=np.full(6, 0.1 * (k + 1)), **given) for k in range(4)]
     return LoadedPlan(Path("plan.yaml"), plan, cell, "text", {}), poses
 
 
@@ -136,21 +124,7 @@ def test_no_cycle_is_lost(world):
 
 def test_direction_is_that_of_the_last_motion(world):
     loaded, poses = world
-    back = [
-        *poses[:2],
-        PlannedPose(
-            number=2,
-            step=1,
-            step_name="s",
-            phase="position",
-            station="b",
-            artefact="mbc",
-            q=np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]),
-            balls=(1, 2, 3, 4),
-            exposures=1,
-            line=9,
-        ),
-    ]
+    back = [*poses[:2], replace(poses[2], q=np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]))]
     runner, seen, _ = make((loaded, back))
     runner.run()
     last = seen.of(events.PoseDone)[-1]

@@ -59,6 +59,16 @@ def test_a_flipped_bit_of_a_temperature_is_read_again_and_recorded():
     assert plausible.doubt({"air_C": 5.0, "humidity": 10.0}, 60.0) is None
 
 
+def test_a_small_flip_is_outvoted_and_a_small_change_is_not():
+    plausible = watched({"air_C": 21.5, "humidity": 40.0})
+    later = iter([{"air_C": 21.5, "humidity": 41.0}, {"air_C": 21.6, "humidity": 41.0}])
+    assert plausible.checked("sensor", {"air_C": 21.9, "humidity": 41.0}, lambda _: next(later), lambda: 1.0)["air_C"] == 21.6
+    (fact,) = plausible.facts()
+    assert fact.text == "the first of three readings was another: air_C 21.9, then 21.6"
+    warmer = {"air_C": 22.0, "humidity": 41.0}
+    assert plausible.checked("sensor", dict(warmer), lambda _: dict(warmer), lambda: 2.0) == warmer
+
+
 def test_a_plan_s_own_rate_takes_the_place_of_the_default():
     fast = Plausibility({"tip_C": "C"}, {"tip_C": 100.0})
     fast.believe({"tip_C": 20.0}, 0.0)

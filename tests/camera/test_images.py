@@ -119,6 +119,22 @@ def test_images_that_contradict_are_named(charuco, tmp_path):
     assert "shared_1" not in text
 
 
+def test_an_image_that_is_less_sharp_than_others_does_not_contradict(charuco):
+    """Corners at 0.01 px, in one image at 0.1 px: it is used, with less weight."""
+    rng = np.random.default_rng(0)
+    lens = adjust_images(charuco.board, [BoardView("a", *charuco.board.find(one)) for one in charuco.images[:6]], SIZE).intrinsics
+    views = []
+    for k in range(8):
+        T = se3.transform(se3.rotation_exp(0.4 * rng.normal(size=3)), np.array([-80.0, -60, 500]))
+        ids = np.arange(len(charuco.board.points))
+        uv = lens.project(se3.apply(T, charuco.board.points))[0]
+        views.append(BoardView(str(k), ids, uv + (0.1 if k == 3 else 0.01) * rng.normal(size=uv.shape)))
+    found = adjust_images(charuco.board, views, SIZE, lens)
+    assert not found.contradicts.any()
+    assert found.rms_px[3] == pytest.approx(0.1, rel=0.3)
+    assert found.covariance[3, 0, 0] > 4 * np.median(found.covariance[:, 0, 0])
+
+
 def test_intrinsics_of_another_mode_are_doubted(charuco, tmp_path):
     (tmp_path / "cameras.txt").write_text(COLMAP.replace("610.0", "630.0").replace("608.0", "628.0"))
     said = read(charuco, tmp_path / "a", tmp_path / "cameras.txt").sentences

@@ -12,7 +12,8 @@ NAME: /[A-Za-z_]\w*/
 
 RAPID = r"""
 start: "MODULE" NAME NL (data NL)* proc+ "ENDMODULE" NL
-data: "VAR" NAME NAME [":=" expr] ";"
+data: "VAR" NAME NAME [":=" expr] ";" | "PERS" "tooldata" NAME ":=" "[" "TRUE" "," frame "," "[" NUMBER_E "," list "," list "," NUMBER_E "," NUMBER_E "," NUMBER_E "]" "]" ";"
+frame: "[" list "," list "]"
 proc: "PROC" NAME "(" [NAME NAME ("," NAME NAME)*] ")" NL (stmt NL)* "ENDPROC" NL
 stmt: NAME ":=" expr ";"
     | "VAR" NAME NAME ";"

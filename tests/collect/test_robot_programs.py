@@ -121,6 +121,23 @@ def test_joints_that_do_not_fit_the_arm_are_named(tmp_path, joints, sentence):
         robot_program(loaded(plan), "inform")
 
 
+def test_a_program_of_fanuc_needs_to_know_how_its_controller_counts(tmp_path):
+    plan = written_plan(tmp_path)
+    with pytest.raises(ConfigError, match="FANUC count J3 from the horizontal: .*controller_joints"):
+        robot_program(loaded(plan), "karel")
+    (tmp_path / "other").mkdir()
+    as_the_file = written_plan(tmp_path / "other", robot={**content()["robot"], "controller_joints": {}})
+    assert "PROGRAM mbcacq_poses" in robot_program(loaded(as_the_file), "karel")["mbcacq_poses.kl"]
+
+
+def test_abb_moves_with_the_weight_of_the_plan(tmp_path):
+    robot = {**content()["robot"], "payload": {"mass_kg": 2.5, "com_mm": [10, 0, 80.5]}}
+    module = robot_program(loaded(written_plan(tmp_path, robot=robot)), "rapid")["mbcacq_poses.mod"]
+    tool = "PERS tooldata mb_scanner := [TRUE,[[0,0,0],[1,0,0,0]],[2.500,[10.000,0.000,80.500],[1,0,0,0],0,0,0]];"
+    assert tool in module
+    assert module.count("fine, mb_scanner;") == module.count("MoveAbsJ")
+
+
 def test_a_language_that_there_is_none_of(plan):
     with pytest.raises(ConfigError, match="there is no language 'karl'"):
         robot_program(loaded(plan), "karl")

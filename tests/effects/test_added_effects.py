@@ -1,9 +1,11 @@
 """Effects that are no part of the catalogue are tried while a diagnosis asks for them: functions, modules, files."""
 
+import sys
 import types
 
 import pytest
 
+from mbcacq.cli.app import LazyGroup
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, linear, sine
@@ -44,6 +46,21 @@ def test_a_module_and_its_file_are_effects_too(tmp_path):
     file.write_text("NAME = 'by_file'\ndef candidates(context):\n    return []\n")
     with catalogue.with_added([module, file]):
         assert {"by_module", "by_file"} <= set(catalogue.effects())
+
+
+def test_an_error_in_a_users_effect_is_said_with_its_line(tmp_path, monkeypatch, capsys, context):
+    file = tmp_path / "hose.py"
+    file.write_text("NAME = 'hose'\n\n\ndef candidates(context):\n    return [][1]\n")
+
+    def diagnose(*args, **kwargs):
+        with catalogue.with_added([file]):
+            catalogue.candidates(context)
+
+    monkeypatch.setattr(sys, "argv", ["mbcacq", "diagnose", f"--add-effect={file}"])
+    monkeypatch.setattr(LazyGroup.__base__, "main", diagnose)
+    with pytest.raises(SystemExit, match="2"):
+        LazyGroup().main()
+    assert capsys.readouterr().err == f"mbcacq: {file}:5: IndexError: list index out of range; correct this file\n"
 
 
 def backlash(context):

@@ -132,6 +132,14 @@ def test_joint_angles_that_are_no_numbers_are_refused(result_file, tmp_path, joi
         CliRunner().invoke(command, [str(result_file), "--joints", joints, str(tmp_path / "a.ply")], catch_exceptions=False)
 
 
+def test_joint_angles_in_radians_are_refused(result_file, tmp_path):
+    """0.1 to 2.1 rad are taken for a posture near zero otherwise, and the cloud lands a metre away."""
+    (tmp_path / "scan.ply").write_text(ONE_POINT)
+    joints = "--joints=0.1,-1.2,2.1,0,0.4,1.5"
+    with pytest.raises(ConfigError, match=r"looks like radians; give them in degrees \(\[6, -69, 120, 0, 23, 86\]\)"):
+        CliRunner().invoke(command, [str(result_file), joints, str(tmp_path / "scan.ply")], catch_exceptions=False)
+
+
 def nominal_cell(X, *, of_flange):
     """A result of a cell whose hand-eye transform alone was calibrated: of a UR10e, or of the poses of its flange."""
     robot = robot_of("ur10e")

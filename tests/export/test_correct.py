@@ -267,3 +267,25 @@ def test_a_program_of_another_make_is_refused(file, robot, language, tmp_path):
     with pytest.raises(ConfigError, match=f"{language} is the language of .* arms, and this result is of '{robot}'"):
         correct(program, content)
     assert [path.name for path in tmp_path.iterdir()] == [file]
+
+
+def test_an_arm_that_was_not_calibrated_corrects_nothing(tmp_path):
+    path = tmp_path / "a.src"
+    path.write_text("PTP {A1 10,A2 -80,A3 80,A4 0,A5 30,A6 0}\n")
+    nominal = result()
+    nominal["robot"]["calibrated"] = nominal["robot"]["nominal"]
+    nominal["effects"] = None
+    with pytest.raises(ConfigError, match="holds the nominal arm"):
+        correct(path, nominal)
+    assert not (tmp_path / "a_corrected.src").exists()
+
+
+def test_a_simulated_calibration_corrects_only_when_that_is_said(tmp_path):
+    path = tmp_path / "a.src"
+    path.write_text("PTP {A1 10,A2 -80,A3 80,A4 0,A5 30,A6 0}\n")
+    (tmp_path / "result.json").write_text(json.dumps(result() | {"simulated": True}))
+    words = ["correct", str(path), "--with", str(tmp_path / "result.json")]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code != 0
+    assert "this calibration is simulated" in refused.output
+    assert CliRunner().invoke(app, [*words, "--simulated-anyway"]).exit_code == 0

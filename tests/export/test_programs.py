@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from test_correct import arm, goals_of, result
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import program as programs
 from mbcacq.exports.programs import rapid, read_program
@@ -384,28 +381,6 @@ def test_the_corrected_targets_of_every_language_reach_the_nominal_places(tmp_pa
     there = CalibratedCell.from_dict(result()).frames(after)[:, -1]
     assert np.abs(there - goals_of(np.degrees(before)))[:, :3, 3].max() < 5e-5
     assert np.abs(after - before).max() > 1e-5
-
-
-def test_an_arm_that_was_not_calibrated_corrects_nothing(tmp_path):
-    path = tmp_path / "a.src"
-    path.write_text(f"PTP {{{ANGLES}}}\n")
-    nominal = result()
-    nominal["robot"]["calibrated"] = nominal["robot"]["nominal"]
-    nominal["effects"] = None
-    with pytest.raises(ConfigError, match="holds the nominal arm"):
-        correct(path, nominal)
-    assert not (tmp_path / "a_corrected.src").exists()
-
-
-def test_a_simulated_calibration_corrects_only_when_that_is_said(tmp_path):
-    path = tmp_path / "a.src"
-    path.write_text(f"PTP {{{ANGLES}}}\n")
-    (tmp_path / "result.json").write_text(json.dumps(result() | {"simulated": True}))
-    words = ["correct", str(path), "--with", str(tmp_path / "result.json")]
-    refused = CliRunner().invoke(app, words)
-    assert refused.exit_code != 0
-    assert "this calibration is simulated" in refused.output
-    assert CliRunner().invoke(app, [*words, "--simulated-anyway"]).exit_code == 0
 
 
 def test_an_arm_of_seven_axes_has_no_rapid(tmp_path):

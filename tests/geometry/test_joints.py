@@ -9,6 +9,7 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.chain_from_axes import carried, chain_from_axes
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
 from mbcacq.geometry.gravity import gravity_torque
+from mbcacq.geometry.link_shapes import arm_outline, link_radii
 from mbcacq.geometry.numerical_inverse import NumericalInverse
 
 DOWN = np.array([0.0, 0, -1])
@@ -141,3 +142,13 @@ def test_a_joint_that_follows_another_adds_to_its_motion():
     twist = chain.joint_twists(frames)[0, 1]
     np.testing.assert_allclose(twist[:3] + np.cross(twist[3:], frames[0, -1, :3, 3]), there, atol=1e-9)
     np.testing.assert_allclose(twist[3:], 0, atol=1e-12)
+
+
+def test_the_foot_of_an_arm_stands_while_a_table_turns():
+    """One turning table, then two links of 400 and 300 mm: the foot is drawn at zero, the table not at all."""
+    rows = np.array([[0, 0, 0, 0, 0], [0, 400, 0, 0, 0], [0, 0, 300, 0, 0]], dtype=float)
+    chain = Chain(np.ones(3), *rows.T, floor=1)
+    for turned in (0.0, 0.7):
+        drawn = arm_outline(chain, np.array([turned, 0.3, 0.0]), of_foot=True)
+        np.testing.assert_allclose(drawn[[0, -1]], [[0, 0, 0], [300 * np.cos(0.3), 300 * np.sin(0.3), 400]], atol=1e-9)
+    assert len(drawn) == 3 * len(link_radii(chain)) == 6

@@ -12,9 +12,9 @@ from mbcacq_fakes.protocols.gocator.state import SensorState
 from mbcacq_gocator.discovery import find_sensors, parse_reply
 from mbcacq_gocator.driver import Gocator
 from mbcacq_gocator.locate import elsewhere
-from mbcacq_gocator.options import parse
+from mbcacq_gocator.options import GocatorOptions
 
-from mbcacq.devices import ConnectError, IdentityError, ProtocolError
+from mbcacq.devices import ConnectError, IdentityError, ProtocolError, parse_options
 
 REQUEST = bytes.fromhex("20 00 00 00 00 00 00 00 05 00 00 00 00 00 00 00 4c 4d 49 55 44 50 00 00 00 00 00 00 00 00 00 00")
 HEAD = bytes.fromhex(
@@ -135,6 +135,6 @@ def test_another_serial_at_the_plans_address_is_refused(fake, driver):
 
 
 def test_a_wrong_address_is_answered_with_what_is_there(network):
-    options = parse("front", {"address": "192.0.2.7", **network})
+    options = parse_options(GocatorOptions, "the scanner", {"address": "192.0.2.7", **network})
     error = elsewhere(ConnectError("cannot be reached"), options)
     assert str(error) == "cannot be reached; found: 3210 serial 777 at 127.0.0.1"

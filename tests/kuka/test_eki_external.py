@@ -8,9 +8,9 @@ from eki_arm import HOME
 from eki_bench import DH, EKI_LIMITS_DEG, SPEED_DEG_S
 from kuka_bench import arrive, until_error, wait
 from mbcacq_kuka.controller_files import eki_files
-from mbcacq_kuka.eki.options import parse
+from mbcacq_kuka.eki.options import EkiOptions
 
-from mbcacq.devices import DeviceFault, DeviceTimeout, IdentityError, MotionLimits, ProtocolError, SafetyStop
+from mbcacq.devices import DeviceFault, DeviceTimeout, IdentityError, MotionLimits, ProtocolError, SafetyStop, parse_options
 
 TABLE = {"name": "E2", "slides": False, "carries_arm": False, "limits": (-180.0, 180.0), "speed": 90.0}
 TRACK = {"name": "E1", "slides": True, "carries_arm": True, "limits": (0.0, 3000.0), "speed": 1000.0}
@@ -36,7 +36,7 @@ def cell(eki_cell):
     def start(program_limits=None, robot=None, connect=True):
         of_program = [dict(axis, limits=(program_limits or {}).get(axis["name"], axis["limits"])) for axis in AXES]
         given = {"address": "127.0.0.1", "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "external_axes": of_program}
-        files = eki_files(parse("arm", given), {"plan": "", "robot": "", "speed_share": 1.0})
+        files = eki_files(parse_options(EkiOptions, "the arm", given), {"plan": "", "robot": "", "speed_share": 1.0})
         controller = {
             "sources": {name.rsplit("/", 1)[1]: text for name, text in files.items() if name.startswith("kss/Program/")},
             "channel": files["kss/EthernetKRL/mbcacq_eki.xml"],

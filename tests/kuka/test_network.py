@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from mbcacq_kuka.rsi.lateness import Lateness
-from mbcacq_kuka.rsi.options import parse
+from mbcacq_kuka.rsi.options import RsiOptions
 from mbcacq_kuka.rsi.sequence import NEXT, OLD, REPEATED, STRANGE, Counts, Sequence
 from rsi_bench import ACCELERATION, LIMITS, SOURCE, START, Bench, T
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import ConfigError, parse_options
 
 FAR = (100.0, *START[1:])
 
@@ -185,9 +185,9 @@ def test_a_telegram_is_known_by_its_ipoc(ipoc, kind, steps):
 @pytest.mark.parametrize("bind", ["0.0.0.0", "172.31.1.100"])
 def test_a_socket_beyond_this_computer_needs_the_controllers_address(bind):
     with pytest.raises(ConfigError, match="controller_ip is missing"):
-        parse("arm", {"limits_deg": LIMITS, "bind": bind})
-    assert parse("arm", {"limits_deg": LIMITS, "bind": bind, "controller_ip": "172.31.1.147"}).bind == bind
-    assert parse("arm", {"limits_deg": LIMITS, "bind": "127.0.0.2"}).controller_ip == ""
+        parse_options(RsiOptions, "the arm", {"limits_deg": LIMITS, "bind": bind})
+    assert parse_options(RsiOptions, "the arm", {"limits_deg": LIMITS, "bind": bind, "controller_ip": "172.31.1.147"}).bind == bind
+    assert parse_options(RsiOptions, "the arm", {"limits_deg": LIMITS, "bind": "127.0.0.2"}).controller_ip == ""
 
 
 def test_telegrams_of_another_computer_do_not_begin_a_session():

@@ -10,6 +10,9 @@ from dry_runs import PLANS, plan_file, recorded
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.sufficiency import options_for
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm
+from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.mesh_file import read_mesh
@@ -144,6 +147,25 @@ def test_the_part_judges_what_was_learnt_from_balls(run):
     turned = cell.state.T_flange_scanner @ se3.exp(np.array([0, 0, 0, 0, 2e-3, 0]))
     wrong = replace(cell, state=replace(cell.state, T_flange_scanner=turned))
     assert tried(wrong, wrong).warnings[0].startswith("they show that an effect is missing")
+
+
+def test_the_part_confirms_and_contradicts_effects(run):
+    """Elastic joints that this arm has not, and an effect of no size beside a mount that was learnt wrongly or rightly."""
+    folder, observations, cell = run
+    ((_, tried),) = trials_on_parts(folder, observations)
+    turned = cell.state.T_flange_scanner @ se3.exp(np.array([0, 0, 0, 0, 2e-3, 0]))
+    wrong = replace(cell, state=replace(cell.state, T_flange_scanner=turned))
+    elastic, none = (replace(cell, effects=EffectModel(observations.cell.robot, (_compliance(c),))) for c in (2e-5, 1e-12))
+    assert tried(elastic, cell).warnings[0].startswith("they contradict what was found")
+    assert tried(none, wrong).warnings[0].startswith("they confirm what was found;")
+    assert tried(none, cell).warnings[0].startswith("they cannot tell")
+
+
+def _compliance(rad_per_Nm):
+    cause, size = "gravity_torque_2", np.array([rad_per_Nm])
+    parts = (DescribedPart("joint", 1, 0, (linear(cause),)),)
+    known = {"names": ("c",), "units": ("",), "coefficients": size, "std": 0.01 * size, "sigma": np.array([np.inf]), "typical": size}
+    return EffectTerm(name="joint_compliance", where=("A2",), depends_on=cause, parts=parts, **known)
 
 
 def test_a_recording_without_a_part_says_how_to_name_one(run, tmp_path):

@@ -79,6 +79,21 @@ def test_a_spike_between_two_drawn_points_is_drawn(tmp_path):
     assert np.abs(np.delete(following, 2, axis=1)).max() < 1e-9
 
 
+def test_an_axis_that_slides_is_drawn_in_cm(tmp_path):
+    """1234 mm beside angles of some radians: 123.4, not 1234 * 180 / pi."""
+    slides = synthetic.CELL.replace(
+        "sign: -1, theta_deg: 0, d_mm: 400", "type: prismatic, limits_mm: [0, 2000], sign: 1, theta_deg: 0, d_mm: 400", 1
+    )
+    batch = synthetic.cycles(np.random.default_rng(0), 0.0, 100)
+    batch.columns["q"][:, 0] = 1234.0
+    with Recorder(tmp_path) as recorder:
+        recorder(replace(synthetic.start(), cell_yaml=slides))
+        recorder(synthetic.events.CyclesReceived(0.5, batch))
+    shown = Recording(tmp_path / "run.rrd").columns(layout.JOINTS, "rerun.archetypes.Scalars")["scalars"]
+    np.testing.assert_allclose(shown[:, 0], 123.4)
+    np.testing.assert_allclose(shown[:, 1:], np.degrees(batch.columns["q"][::5, 1:]))
+
+
 def test_an_arm_that_stands_is_not_drawn_anew_and_one_that_creeps_is(tmp_path):
     """What is drawn is never farther from where the arm is than a tenth of a millimetre at 2 m."""
     rng = np.random.default_rng(0)

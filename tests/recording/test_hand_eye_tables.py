@@ -85,6 +85,11 @@ def test_numbers_and_matrices_agree_in_every_convention(maker):
     np.testing.assert_allclose(orientations.to_matrices(numbers, word), R, atol=1e-12)
 
 
+def test_a_quaternion_is_no_three_angles():
+    with pytest.raises(ValueError, match="4 numbers are no angles about x, y, z, axes fixed .*fanuc"):
+        orientations.to_matrices(np.array([[1.0, 0, 0, 0]]), orientations.MAKERS["fanuc"])
+
+
 def test_fanuc_turns_about_fixed_axes_and_kuka_about_its_own():
     """W P R = 90 90 0 turns z to x by way of -y; A B C = 90 90 0 turns x down, then z to y."""
     turn = np.radians([[90.0, 90.0, 0.0]])
@@ -161,6 +166,18 @@ def test_data_new_writes_a_set_and_says_how_it_understood_the_table(tmp_path):
     np.testing.assert_allclose(found.state.T_flange_scanner, X, atol=5e-3)
     assert "a.csv" not in CliRunner().invoke(command, ["new", str(path), "--out", str(tmp_path / "set")]).stdout  # not replaced
     assert CliRunner().invoke(command, ["new", str(path), "--out", str(tmp_path / "set"), "--force"]).exit_code == 0
+
+
+def test_a_column_phase_keeps_poses_out_of_the_fit(tmp_path):
+    """Ten rows that are 0.5 mm off do not move the hand-eye transform."""
+    F, C = poses(30)
+    C[-10:, 2, 3] += 0.5
+    path = write(tmp_path / "a.csv", "X,Y,Z,A,B,C,ball_x_mm,ball_y_mm,ball_z_mm", *WRITTEN["kuka"][1](F), C[:, :3, 3])
+    phases = ["phase", *["calibration"] * 20, *["verification"] * 10]
+    path.write_text("".join(f"{line},{phase}\n" for line, phase in zip(path.read_text().splitlines(), phases, strict=True)))
+    read = read_loose_table(path)
+    assert any("10 verification" in sentence for sentence in read.sentences)
+    np.testing.assert_allclose(mbcacq.calibrate(read.observations, ALONE).state.T_flange_scanner[:3, 3], X[:3, 3], atol=5e-3)
 
 
 def test_samples_of_moveit_and_easy_handeye(tmp_path):

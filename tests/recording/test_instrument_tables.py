@@ -58,6 +58,13 @@ TRACE = (
 NAMED = {
     "scope": (SCOPE, ["ActPos_A1", "ActPos_A2", "ActPos_A3", "ActPos_A4", "ActPos_A5"]),
     "trace": (TRACE, [f"$AXIS_ACT.A{i}" for i in range(1, 7)]),
+    "theta": ("\t".join(f"theta{i}" for i in range(1, 7)) + "\n" + "\t".join("123456") + "\n", [f"theta{i}" for i in range(1, 7)]),
+    "ros": (  # topics of one arm sort their joints by name
+        "elbow_joint\tshoulder_lift_joint\tshoulder_pan_joint\twrist_1_joint\twrist_2_joint\twrist_3_joint\telbow_joint_velocity\n"
+        + "\t".join("1234567")
+        + "\n",
+        ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"],
+    ),
     "words": ("\t".join(f"Actual position A{i} [deg]" for i in range(1, 7)) + "\n" + "\t".join("123456") + "\n", None),
 }
 

@@ -64,6 +64,20 @@ def test_without_a_run_latest_says_how_to_start_one(desk):
         named_run(Path("latest"))
 
 
+@pytest.mark.parametrize("leads_to", ["../elsewhere", "ABSOLUTE", ".."])
+@pytest.mark.parametrize("link", [True, False])
+def test_a_mark_that_leads_out_of_the_runs_is_not_followed(desk, leads_to, link):
+    for folder in ("runs/1_kuka", "elsewhere"):
+        new_run(folder)
+    mark, target = desk / "runs" / "latest", leads_to.replace("ABSOLUTE", str(desk / "elsewhere"))
+    mark.unlink()
+    if link:
+        mark.symlink_to(target)
+    else:
+        mark.write_text(f"{target}\n")
+    assert named_run(Path("latest")) == Path("runs/1_kuka")
+
+
 def test_a_run_that_is_itself_called_latest_is_left_alone(desk):
     new_run("runs/latest")
     new_run("runs/other")

@@ -37,20 +37,20 @@ WRITERS = {
 }
 
 
-@pytest.mark.parametrize("exists", [True, False])
-def test_nothing_is_written_through_twelve_links(a_run, tmp_path, exists):
+@pytest.mark.parametrize("link", ["to a file", "to nothing", "hard"])
+def test_nothing_is_written_through_twelve_links(a_run, tmp_path, link):
     with (a_run / "run.rrd").open("r+b") as torn:
         torn.truncate(a_run.joinpath("run.rrd").stat().st_size - 100)
     home = tmp_path / "home"
     home.mkdir()
     for name in LINKS:
         path, target = a_run / name, home / name.lstrip(".")
-        if exists and name == "scans":
+        if link != "to nothing" and name == "scans":
             target.mkdir()
-        elif exists:
+        elif link != "to nothing":
             target.write_bytes(path.read_bytes() if path.is_file() else b"mine\n")
         path.unlink(missing_ok=True)
-        path.symlink_to(target)
+        (path.hardlink_to if link == "hard" and name != "scans" else path.symlink_to)(target)
     before = {path.name: path.is_dir() or path.read_bytes() for path in home.rglob("*")}
     for name, write in WRITERS.items():
         try:
@@ -70,6 +70,12 @@ def test_a_link_out_of_the_folder_is_named_with_where_it_leads(tmp_path, name):
     with pytest.raises(RecordingError, match=r"report\.html is a link to .*elsewhere.report\.html, outside its folder.*remove the link"):
         write_file(folder / name, "new", folder=folder)
     assert not list(elsewhere.iterdir())
+
+
+def test_a_recording_that_is_a_folder_is_none(tmp_path):
+    (tmp_path / "run.rrd").mkdir()
+    with pytest.raises(RecordingError, match="it is no file, or a link that leads to none"):
+        recover(tmp_path)
 
 
 def test_a_list_of_a_stopped_set_renames_nothing_outside(tmp_path):

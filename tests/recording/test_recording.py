@@ -116,31 +116,11 @@ def test_entities_stand_where_the_layout_says(a_run):
     from rerun.chunk import RrdReader
 
     found = {chunk.entity_path.lstrip("/") for chunk in RrdReader(a_run / "run.rrd").stream()}
-    flat = (
-        layout.RUN,
-        layout.PLAN,
-        layout.CELL,
-        layout.STATE,
-        layout.STEP,
-        layout.STATION,
-        layout.LOG,
-        layout.CYCLES,
-        layout.JOINTS,
-        layout.FOLLOWING,
-        layout.CURRENT,
-        layout.SCAN,
-        layout.EXPOSURE,
-        layout.OBSERVATION,
-        layout.BALLS_FOUND,
-        layout.FIT_RMS,
-        layout.SCATTER,
-        layout.SCANNER,
-        layout.link(1),
-        layout.link(6),
-        "world/stations/far",
-        "health/scanner/temperature_C",
+    names = (
+        "RUN PLAN CELL STATE STEP STATION LOG CYCLES JOINTS FOLLOWING CURRENT SCAN EXPOSURE OBSERVATION BALLS_FOUND FIT_RMS SCATTER SCANNER"
     )
-    assert set(flat) <= found
+    assert {getattr(layout, name) for name in names.split()} <= found
+    assert {layout.link(1), layout.link(6), "world/stations/far", "health/scanner/temperature_C"} <= found
     states = [row["state"][0] for row in Recording(a_run / "run.rrd").rows(layout.STATE) if "state" in row]
     assert states == [event.state for event in of(events.StateChanged, synthetic.run())]
 

@@ -104,9 +104,10 @@ def test_a_picture_of_a_drawn_plan_needs_no_measured_pose(tmp_path, monkeypatch)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the program is a POSIX shell script")
-def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):
+@pytest.mark.parametrize("does", ["sleep 60", "yes error"])
+def test_a_program_that_hangs_or_talks_without_end_is_stopped(tmp_path, monkeypatch, does):
     fake = tmp_path / "rerun"
-    fake.write_text("#!/bin/sh\nsleep 60\n")
+    fake.write_text(f"#!/bin/sh\n{does}\n")
     fake.chmod(0o755)
     monkeypatch.setenv("RERUN_CLI_PATH", str(fake))
     with pytest.raises(RecordingError, match="did not end within 0.5 s"):

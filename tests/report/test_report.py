@@ -217,17 +217,13 @@ def test_residuals_need_the_recording(tmp_path):
 
 def test_residuals_are_measured_minus_predicted():
     from mbcacq.calibration.result_io import state_from_dict
-    from mbcacq.report.sources.measured import calibrated_poses, residuals
+    from mbcacq.report.sources.measured import residuals
 
-    obs = make_observations()
+    obs, result = make_observations(), make_result()
+    result["noise"] |= {"scanner_mm": [0.005, 0.005, 0.009], "joint_rad": [0.0] * 6}
+    result["rejected"] = [{"pose": pose, "ball": ball, "distance_mm": 1.0} for pose, ball in ((3, 2), (5, None))]
     shifted = replace(obs, xyz=obs.xyz + [0.0, 0.0, 0.1])
-    found = residuals(
-        calibrated_poses(shifted, make_result()),
-        state_from_dict(make_result(), obs.cell),
-        [0.005, 0.005, 0.009],
-        [0.0] * 6,
-        {(3, 2), (5, None)},
-    )
+    found = residuals(shifted, result, state_from_dict(result, obs.cell))
     assert len(found.xyz) == 20  # ten poses, two balls; the verification poses are not the fit's
     np.testing.assert_allclose(found.xyz.mean(axis=0), [0, 0, 0.1], atol=0.006)
     np.testing.assert_allclose(found.weighted, found.xyz / [0.005, 0.005, 0.009])

@@ -109,13 +109,8 @@ def test_a_last_joint_that_opens_to_one_side_is_said(read):
 
 
 def test_the_flange_is_what_is_fixed_behind_the_last_link(read):
-    numbered = [
-        *arm(7),
-        joint("joint8", "link7", "link8", "fixed"),
-        joint("hand", "link8", "hand", "fixed"),
-        joint("f1", "hand", "finger1"),
-    ]
-    assert read(described(numbered, shapes=("link7", "link8", "hand"))).flange == "link8"
+    hand = [joint("joint8", "link7", "link8", "fixed"), joint("hand", "link8", "hand", "fixed"), joint("f1", "hand", "finger1")]
+    assert read(described([*arm(7), *hand], shapes=("link7", "link8", "hand"))).flange == "link8"
     bare = [*arm(6), joint("end", "link6", "tip", "fixed")]
     assert read(described(bare, shapes=("link6",))).flange == "tip"
     assert read(described(bare, shapes=("link6", "tip"))).flange == "link6"
@@ -297,7 +292,7 @@ def test_xacro_finds_its_packages_above_and_beside_the_file_without_ros(packages
         found = import_robot(packages / name)
         assert found.joints == ("joint1", "joint2", "joint3")
         assert found.T_given_base[2, 3] == pytest.approx(0)
-        assert RobotSpec.model_validate(yaml.safe_load(found.text)).model().chain.flange(np.zeros((1, 3)))[0, 2, 3] == pytest.approx(700)
+        assert model_of(found).chain.flange(np.zeros((1, 3)))[0, 2, 3] == pytest.approx(700)
 
 
 def test_xacro_takes_arguments_and_folders_of_packages(packages, tmp_path):
@@ -309,18 +304,7 @@ def test_xacro_takes_arguments_and_folders_of_packages(packages, tmp_path):
     with pytest.raises(ConfigError, match="needs an argument 'height'; give it by --arg height=VALUE"):
         import_robot(alone, packages=folder)
     out = tmp_path / "made.yaml"
-    words = [
-        "robot",
-        "import",
-        str(alone),
-        "--package",
-        f"demo_support={packages / 'demo_support'}",
-        "--arg",
-        "height=0.5",
-        "--out",
-        str(out),
-        "--json",
-    ]
+    words = f"robot import {alone} --package demo_support={packages / 'demo_support'} --arg height=0.5 --out {out} --json".split()
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert json.loads(done.stdout)["joints"] == ["joint1", "joint2", "joint3"]
     assert yaml.safe_load(out.read_text())["links"][0]["d_mm"] + yaml.safe_load(out.read_text())["links"][1]["d_mm"] == pytest.approx(700)
@@ -341,7 +325,7 @@ def test_mjcf_is_read_without_its_meshes(read):
     found = read(MESHED, "arm.xml")
     assert found.joints == ("j1", "j2")
     assert any("none.stl" in remark and "masses of base, l2 are unknown" in remark for remark in found.remarks)
-    robot = RobotSpec.model_validate(yaml.safe_load(found.text)).model()
+    robot = model_of(found)
     assert robot.mass.tolist() == [3, 0]
     T = found.T_given_base @ robot.chain.flange(np.array([[np.pi / 2, 0]]))[0] @ found.T_flange_given
     assert T[:3, 3] == pytest.approx([0, 100, 500], abs=1e-6)
@@ -381,10 +365,17 @@ def test_mjcf_without_its_meshes_has_the_flange_that_it_has_with_them(read):
     assert any("none.stl" in remark for remark in without.remarks)
 
 
-@pytest.mark.parametrize("limits", ["-170 inf", "-inf 170"])
-def test_an_infinite_limit_of_mjcf_is_named_with_its_joint(read, limits):
+@pytest.mark.parametrize("limits", ["-170 inf", "-inf 170", "-170 nan", "-170 -inf", "170 -170"])
+def test_limits_of_mjcf_that_are_none_are_named_with_their_joint(read, limits):
     text = mjcf("").replace('name="j2"', f'name="j2" range="{limits}"')
     with pytest.raises(ConfigError, match="'j2' has the limits"):
+        read(text, "arm.xml")
+
+
+@pytest.mark.parametrize("mass", ["-5", "nan", "-inf"])
+def test_a_mass_of_mjcf_that_no_body_has_is_named_with_its_body(read, mass):
+    text = mjcf("").replace('<joint name="j2"', f'<inertial pos="0 0 0" mass="{mass}" diaginertia="1 1 1"/><joint name="j2"')
+    with pytest.raises(ConfigError, match=f"body 'b2' has a mass of {mass} kg"):
         read(text, "arm.xml")
 
 

@@ -64,6 +64,12 @@ def test_urdf_limits_speeds_and_masses_of_all_that_moves_together(urdf):
     assert se3.apply(frames[2], arm.com[1]) == pytest.approx([100, 50, 400 + 200], abs=2e-3)
 
 
+def test_a_mass_below_zero_is_named_with_its_link(urdf):
+    urdf.write_text(URDF.replace('<mass value="4"/>', '<mass value="-5"/>'))
+    with pytest.raises(ConfigError, match="link 'one' has a mass of -5 kg; correct it"):
+        import_robot(urdf)
+
+
 def test_urdf_forward_kinematics_by_hand(urdf):
     """At a = 90 deg, all others at zero: the arm of 0.1 m points along y, the second link along -x."""
     arm = model(import_robot(urdf))

@@ -15,6 +15,7 @@ from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_ur import wire
 from mbcacq_ur.driver import UrRtdeRobot
 from scipy.spatial.transform import Rotation
+from uploaded_program import LineArm, ProgrammableUr
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MotionLimits, ProtocolError, SafetyStop
 
@@ -167,6 +168,33 @@ while client.getTargetSpeedFraction() != 0.25 or not client.getDigitalOutState(3
     time.sleep(0.01)
 print(*client.getActualTCPPose())
 """
+CONTROLS = """
+import time, rtde_control, rtde_receive
+arm, client = rtde_control.RTDEControlInterface("127.0.0.77"), rtde_receive.RTDEReceiveInterface("127.0.0.77")
+def wait(reads, wanted):
+    while max(abs(a - b) for a, b in zip(reads(), wanted)) > 1e-6:
+        time.sleep(0.01)
+q = [0, -1.5, 1.5, -1.5, -1.5, 0.2]
+assert arm.moveJ(q, 1.0, 2.0)
+wait(client.getActualQ, q)
+before = client.getActualTCPPose()
+to = [before[0] + 0.1, before[1] + 0.05, before[2] - 0.08, *before[3:]]
+assert arm.moveL(to, 0.25, 1.0) and arm.isSteady()
+wait(client.getActualTCPPose, to)
+wait(arm.getForwardKinematics, to)
+wait(lambda: arm.getInverseKinematics(before), q)
+assert arm.moveJ([3.0, *q[1:]], 0.5, 1.0, True) and arm.getAsyncOperationProgress() == 0
+while client.getActualQ()[0] < 0.2:
+    time.sleep(0.01)
+arm.stopJ(2.0)
+assert arm.isSteady() and arm.getAsyncOperationProgress() < 0
+assert arm.setPayload(1.5, [0, 0, 0.03])
+print(client.getActualQ()[0])
+arm.servoJ(q, 0, 0, 0.002, 0.1, 300)
+while arm.isProgramRunning():
+    time.sleep(0.01)
+print(int(arm.moveJ(q, 1.0, 2.0)))
+"""
 
 
 @pytest.fixture
@@ -198,6 +226,32 @@ def test_a_client_by_others_switches_outputs_and_the_slider_while_another_one_li
         assert (fake.outputs, fake.inputs["input_int_register_20"]) == (1 << 3, 7)
     # At home the forearm lies level, and the tool points down: shoulder and upper arm above the base, forearm and flange beside it.
     assert 1e3 * np.array(pose[:3]) == pytest.approx([-571.55 - 119.85, -174.15, 180.7 + 612.7 - 116.55])
+
+
+def test_a_client_by_others_uploads_its_program_and_moves_the_arm(said_by, caplog):
+    with ProgrammableUr("127.0.0.77", HOME_DEG) as fake:
+        stopped_at, moved_again = said_by(CONTROLS)
+        assert 0.2 < stopped_at < 2.9
+        assert not moved_again
+        assert fake.values()["payload"] == 1.5
+        assert not fake.arm.moving
+    assert "the fake does nothing for command 11 (servo, speed and force are not played)" in caplog.text
+
+
+def test_a_line_is_straight_and_driven_at_its_speed():
+    arm = LineArm(HOME_DEG)
+    begin = np.array(arm.flange_pose(arm.q))
+    end = begin + [0.1, 0.05, -0.08, 0, 0, 0]
+    arm.go_along(*arm.line(end), 0.25, 1.0)
+    places = []
+    while arm.moving:
+        arm.advance(0.002)
+        places.append(arm.flange_pose(arm.q)[:3])
+    way = (end - begin)[:3] / np.linalg.norm((end - begin)[:3])
+    along = (places - begin[:3]) @ way
+    assert np.abs(places - begin[:3] - along[:, None] * way).max() < 1e-5
+    assert np.diff(along).max() / 0.002 == pytest.approx(0.25, rel=1e-3)
+    np.testing.assert_allclose(places[-1], end[:3], atol=1e-6)
 
 
 @pytest.fixture

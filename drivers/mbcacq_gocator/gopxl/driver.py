@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import ConnectError, Description, Field, IdentityError, Scan
+from mbcacq.devices import ConnectError, Description, Field, IdentityError, Scan, parse_options
 from mbcacq_gocator.generation import classic_answers
 from mbcacq_gocator.gopxl import tree
 from mbcacq_gocator.gopxl.control import GoPxLControl
 from mbcacq_gocator.gopxl.discovery import located
-from mbcacq_gocator.gopxl.options import GoPxLOptions, parse
+from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.restore import Found, put_back
 from mbcacq_gocator.gopxl.session import GoPxLSession
 from mbcacq_gocator.snapshot_scanner import SnapshotScanner
@@ -40,7 +40,7 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = parse(name, options or {})
+        self.options = parse_options(GoPxLOptions, f"scanner '{name}'", options or {})
         about = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
         super().__init__(name, model, self.options, self.options.mode, about)
         self._found: Found | None = None

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
-from mbcacq.devices import parse_options
 from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 
@@ -26,8 +24,3 @@ class GoPxLOptions(SnapshotOptions):
     right_handed: bool = Field(default=True, strict=True)
     discovery_port: int = Field(default=3320, ge=1, le=65535, strict=True)
     discovery_listen_port: int = Field(default=3320, ge=0, le=65535, strict=True)
-
-
-def parse(name: str, options: Mapping[str, Any]) -> GoPxLOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(GoPxLOptions, f"scanner '{name}'", options)

@@ -21,11 +21,12 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
     joint_target,
+    parse_options,
 )
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.cell_check import check_cell
-from mbcacq_kuka.eki.options import EkiOptions, parse
+from mbcacq_kuka.eki.options import EkiOptions
 from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.session import EkiSession
 from mbcacq_kuka.eki.telegrams import PTP, State
@@ -61,7 +62,7 @@ class KukaEki(ContextDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
-        self._options = parse(name, options)
+        self._options = parse_options(EkiOptions, f"robot '{name}'", options)
         self._session: EkiSession | None = None
         self._record = Record(self._options)
         self._lock = threading.Lock()
@@ -70,7 +71,7 @@ class KukaEki(ContextDevice):
     @staticmethod
     def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
         """Path -> text of everything that goes onto the controller, for this plan. See controller_files.eki_files."""
-        return eki_files(parse(name, options), facts)
+        return eki_files(parse_options(EkiOptions, f"robot '{name}'", options), facts)
 
     def describe(self) -> Description:
         rate, axes = 1000.0 / self._options.state_ms, (len(self._options.axes),)

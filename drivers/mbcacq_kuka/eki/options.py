@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbcacq.devices import HOST, DriverOptions, parse_options
+from mbcacq.devices import HOST, DriverOptions
 from mbcacq_kuka.controller_flags import COUNT, FIRST, LARGEST
 from mbcacq_kuka.eki.telegrams import AXES
 from mbcacq_kuka.option_values import KukaOptions, PositiveSix, Six
@@ -127,8 +126,3 @@ class EkiOptions(KukaOptions):
     def modes(self) -> frozenset[int]:
         """$MODE_OP as the controller numbers it; all if any will do."""
         return frozenset(MODES.values()) if "any" in self.mode else frozenset(MODES[m] for m in self.mode)
-
-
-def parse(name: str, options: Mapping[str, Any]) -> EkiOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(EkiOptions, f"robot '{name}'", options)

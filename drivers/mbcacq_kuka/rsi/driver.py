@@ -26,12 +26,13 @@ from mbcacq.devices import (
     SafetyStop,
     SystemRefused,
     joint_target,
+    parse_options,
     signals_deferred,
 )
 from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.option_values import check_output
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
-from mbcacq_kuka.rsi.options import RsiOptions, parse
+from mbcacq_kuka.rsi.options import RsiOptions
 from mbcacq_kuka.rsi.shared import ALL_OUTPUTS, ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
 _FAULTS: dict[str, type[MbcacqError]] = {
@@ -79,7 +80,7 @@ class KukaRsi(ContextDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
-        self._options = parse(name, options)
+        self._options = parse_options(RsiOptions, f"robot '{name}'", options)
         self._limits = np.array(self._options.limits_deg)
         self._process: CycleProcess | None = None
         self._move_seq = 0
@@ -90,7 +91,7 @@ class KukaRsi(ContextDevice):
     @staticmethod
     def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
         """Path -> text of everything that goes onto the controller, for this plan. See controller_files.rsi_files."""
-        return rsi_files(parse(name, options), facts)
+        return rsi_files(parse_options(RsiOptions, f"robot '{name}'", options), facts)
 
     def describe(self) -> Description:
         axes, rate, outputs = (6,), 1000.0 / self._options.cycle_ms, self._options.digital_outputs

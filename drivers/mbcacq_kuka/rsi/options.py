@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from mbcacq.devices import parse_options
 from mbcacq_kuka.option_values import KukaOptions, OneOrSix
 from mbcacq_kuka.rsi.telegram import Composer
 
@@ -85,11 +83,6 @@ class RsiOptions(KukaOptions):
         acceleration = self.acceleration_deg_s2 or tuple(v / _FASTEST_START_S for v in speed)
         jerk = self.jerk_deg_s3 or tuple(a / _FASTEST_RISE_S for a in acceleration)
         return list(speed), list(acceleration), list(jerk)
-
-
-def parse(name: str, options: Mapping[str, Any]) -> RsiOptions:
-    """Raises ConfigError naming the option and what is wrong with it."""
-    return parse_options(RsiOptions, f"robot '{name}'", options)
 
 
 def on_loopback(address: str) -> bool:

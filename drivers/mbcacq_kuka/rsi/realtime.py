@@ -7,6 +7,7 @@ import gc
 import os
 import socket
 import struct
+from contextlib import suppress
 
 _PRIORITY = 50
 _PRESENT, _FUTURE = 1, 2  # MCL_CURRENT, MCL_FUTURE of sys/mman.h
@@ -50,10 +51,8 @@ def _lock_memory() -> bool:
 
 def _pin(cpu: int) -> None:
     """Only with priority: without it, a core of its own would be one that it must share with whatever else runs there."""
-    try:
+    with suppress(AttributeError, OSError):
         os.sched_setaffinity(0, {cpu})
-    except (AttributeError, OSError):
-        pass
 
 
 def open_socket(address: str, port: int, wait_s: float) -> socket.socket:

@@ -51,16 +51,7 @@ def make_camera(  # noqa: PLR0913 -- one argument a part of the cell
     noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm, ball, growth)
     scanner = FringeScanner(Grid.with_pitch(view, options.pitch_mm), noise, optics or Optics())
     operator = FakeOperator(planned_q, planned_station, world.facts.station_artefact)
-    return Camera(
-        world=world,
-        scanner=scanner,
-        operator=operator,
-        arm=arm,
-        options=options,
-        right_exposure_us=right_exposure_us,
-        clock_start_s=clock_start_s,
-        poses_before=poses_before,
-    )
+    return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s, poses_before=poses_before)
 
 
 def smallest_ball(facts: CellFacts) -> float:

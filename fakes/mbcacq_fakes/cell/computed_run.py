@@ -100,7 +100,7 @@ def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> t
         here = np.flatnonzero(at.artefact == a)
         if not len(here):
             continue
-        centres = world.balls_in_scanner(_select(at, here), _select_moved(moved, here), a)
+        centres = world.balls_in_scanner(_select(at, here), _select(moved, here), a)
         in_view = np.array([[not wanted[p] or b in wanted[p] for b in artefact.balls] for p in here], dtype=bool)
         p, b = np.nonzero(in_view)
         pose.append(here[p])
@@ -132,9 +132,5 @@ def cap(n: int, widest_deg: float = 62.0) -> np.ndarray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
-def _select(at: Moments, rows: np.ndarray) -> Moments:
-    return Moments(**{f.name: getattr(at, f.name)[rows] for f in dataclasses.fields(at)})
-
-
-def _select_moved(moved: Any, rows: np.ndarray) -> Any:
-    return type(moved)(**{f.name: getattr(moved, f.name)[rows] for f in dataclasses.fields(moved)})
+def _select(columns: Any, rows: np.ndarray) -> Any:
+    return type(columns)(**{f.name: getattr(columns, f.name)[rows] for f in dataclasses.fields(columns)})

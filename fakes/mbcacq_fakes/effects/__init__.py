@@ -12,51 +12,18 @@ from typing import Any
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.effects.base import InjectedEffect
 
-CATALOGUED = (
-    "joint_compliance",
-    "base_compliance",
-    "mount_compliance",
-    "gear_transmission_error",
-    "backlash",
-    "joint_scale",
-    "axis_error_motion",
-    "wrist_coupling",
-    "joint_step",
-    "thermal_growth",
-    "mount_shift",
-    "scanner_scale",
-    "scanner_distortion",
-    "scanner_warmup",
-    "ball_shift",
-    "artefact_expansion",
-    "station_drift",
-    "lost_motion",
-    "hysteresis",
-    "gravity_compensator",
-    "incidence_bias",
-    "payload",
-    "exposure_latency",
-    "joint_settling",
-    "mount_clearance",
-    "thermal_zero_shift",
+CATALOGUED = tuple(
+    """
+joint_compliance base_compliance mount_compliance gear_transmission_error backlash joint_scale axis_error_motion wrist_coupling
+joint_step thermal_growth mount_shift scanner_scale scanner_distortion scanner_warmup ball_shift artefact_expansion station_drift
+lost_motion hysteresis gravity_compensator incidence_bias payload exposure_latency joint_settling mount_clearance thermal_zero_shift
+""".split()
 )
-UNCATALOGUED = (
-    "axis_wobble",
-    "cable_at_mount",
-    "cable_drag",
-    "floor_heave",
-    "fringe_ripple",
-    "hose_twist",
-    "link_bending",
-    "loose_anchor",
-    "progressive_gear",
-    "short_memory",
-    "sinking_pedestal",
-    "spalled_raceway",
-    "taut_hose",
-    "tilting_camera",
-    "uneven_ring",
-    "warm_gearbox",
+UNCATALOGUED = tuple(
+    """
+axis_wobble cable_at_mount cable_drag floor_heave fringe_ripple hose_twist link_bending loose_anchor progressive_gear short_memory
+sinking_pedestal spalled_raceway taut_hose tilting_camera uneven_ring warm_gearbox
+""".split()
 )
 
 

@@ -82,17 +82,8 @@ class World:
     ) -> Moments:
         """Add clock and temperatures to what the arm and the operator do; all with a leading axis P, in time order."""
         time_s = self.environment.clock(robot_time_s)
-        return Moments(
-            q=q,
-            velocity=velocity,
-            direction=direction,
-            arrival=arrival,
-            time_s=time_s,
-            air_C=self.environment.air(time_s),
-            robot_C=self.environment.robot(time_s),
-            station=station,
-            artefact=artefact,
-        )
+        air_C, robot_C = self.environment.air(time_s), self.environment.robot(time_s)
+        return Moments(q, velocity, direction, arrival, time_s, air_C, robot_C, station=station, artefact=artefact)
 
     def displaced(self, at: Moments) -> Moved:
         """What all effects do at these moments."""

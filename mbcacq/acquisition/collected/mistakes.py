@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -189,12 +190,7 @@ def _inside(loaded: LoadedPlan, clouds: Sequence[FoundCloud], M: np.ndarray) -> 
 def _miss(loaded: LoadedPlan, poses: Sequence[PlannedPose], clouds: Sequence[FoundCloud], M: np.ndarray) -> float:
     """How badly (mm, median) the clouds fit their best poses with other axes."""
     fit = PlacementFit(loaded.cell, poses)
-    turned = [
-        FoundCloud(
-            path=c.path, number=None, named_pose=None, named_exposure=None, written_s=0.0, digest=c.digest, ball=c.ball, xyz=c.xyz @ M.T
-        )
-        for c in clouds
-    ]
+    turned = [replace(cloud, xyz=cloud.xyz @ M.T) for cloud in clouds]
     return float(np.median(np.min(fit.distances(turned), axis=1)))
 
 

@@ -8,17 +8,8 @@ from typing import Any
 
 from mbcacq.exports.programs.program import DEGREES, RobotProgram, Statements, kind, lines, names_in
 
-MOVES = (
-    "movej",
-    "movel",
-    "movep",
-    "movec",
-    "optimovej",
-    "optimovel",
-    "servoj",
-    "servop",
-    "servoc",
-)  # whose first arguments are places, joint angles or poses
+# Whose first arguments are places, joint angles or poses.
+MOVES = tuple("movej movel movep movec optimovej optimovel servoj servop servoc".split())
 PLACES = {"movec": 2, "servoc": 2}  # a via point and an end
 HINTS = ("get_inverse_kin", "get_inverse_kin_has_solution")  # joint angles there are where the search begins
 SPEEDS = ("speedj", "speedl", "stopj", "stopl")

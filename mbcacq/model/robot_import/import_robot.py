@@ -142,7 +142,7 @@ def _refuse_endless(path: Path, source: ArmSource) -> None:
             said = f"joint '{source.joints[number] or number + 1}' has the limits {limits[0]:g} to {limits[1]:g}°"
             raise ConfigError(f"{path}: {said}; give both as angles, or none where the joint turns without end")
     sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
-    for what, values in {**sizes, "axis of a joint": source.direction}.items():
+    for what, values in {**sizes, "joint's axis": source.direction}.items():
         if not (np.abs(values) <= LARGEST).all():
             raise ConfigError(f"{path}: a {what} is beyond all bounds, or no number; correct the numbers in the file")
 

@@ -18,20 +18,8 @@ from mbcacq.model.robot_import.source import ArmSource
 
 PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
 SIX_DIGITS = 1e-5  # to which MuJoCo writes the numbers of a model, relative
-SHAPES = (
-    "geoms",
-    "meshes",
-    "hfields",
-    "skins",
-    "flexes",
-    "sensors",
-    "pairs",
-    "tendons",
-    "tuples",
-    "materials",
-    "textures",
-    "keys",
-)  # and their users; a key has a number for each actuator, of which some go
+# And their users; a key has a number for each actuator, of which some go.
+SHAPES = tuple("geoms meshes hfields skins flexes sensors pairs tendons tuples materials textures keys".split())
 SMALLEST_MASS = 1e-6  # kg, of a body whose shapes are not there, for MuJoCo compiles none without mass
 
 
@@ -51,6 +39,7 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     """Raises ConfigError where MuJoCo refuses the file, or no serial arm of hinges leads to the flange."""
     compiled = _compiled(path)
     mujoco, model = compiled.mujoco, compiled.model
+    _refuse_senseless(path, mujoco, _spec(mujoco, path.resolve()))
     names = _Names(mujoco, model)
     for name in (base, flange):
         if name is not None and name not in names.frames:
@@ -130,6 +119,18 @@ def _compiled(path: Path) -> _Model:
     if massless:
         about += f", so that the masses of {', '.join(sorted(massless))} are unknown"
     return _Model(mujoco, model, bare, frozenset(model.body(name).id for name in massless), (about,))
+
+
+def _refuse_senseless(path: Path, mujoco: Any, spec: Any) -> None:
+    """Raises ConfigError for limits in the wrong order, which MuJoCo takes for none, and for a mass below zero, which is unknown to it."""
+    for joint in spec.joints:
+        low, high = joint.range
+        if (low or high) and not low < high and joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE:
+            said = f"joint '{joint.name}' has the limits {low:g} to {high:g}"
+            raise ConfigError(f"{path}: {said}; give the lower one first, or none where the joint turns without end")
+    for body in spec.bodies:
+        if body.explicitinertial and not body.mass >= 0:
+            raise ConfigError(f"{path}: body '{body.name}' has a mass of {body.mass:g} kg; correct it")
 
 
 def _spec(mujoco: Any, path: Path) -> Any:

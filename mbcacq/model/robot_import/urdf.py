@@ -245,4 +245,6 @@ def _inertial(element: Element | None, path: Path, link: str) -> tuple[float, np
         return None
     origin = element.find("origin")
     xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3, path, f"inertial of {link}")
-    return float(_numbers(weight.get("value", "0"), 1, path, f"inertial of {link}")[0]), 1e3 * xyz
+    if (mass := float(_numbers(weight.get("value", "0"), 1, path, f"inertial of {link}")[0])) < 0:
+        raise ConfigError(f"{path}: link '{link}' has a mass of {mass:g} kg; correct it")
+    return mass, 1e3 * xyz

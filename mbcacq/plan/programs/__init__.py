@@ -30,13 +30,17 @@ LANGUAGES = Path(__file__).parent / "languages"
 class ControllerLanguage:
     """maker: whose controllers read it. axes: how many such a program can have, or () for any. files: names, NAME in place of the
     program's, with the template of each. joints: where the angles that the controller measured are found afterwards. load: how the program
-    gets onto the controller."""
+    gets onto the controller and is started. weight: what knows the scanner's weight. slow: the mode for the first run. counts: how the
+    controller counts joints, where that differs from most robot files; the plan then has to say how."""
 
     maker: str
     axes: tuple[int, ...]
     files: dict[str, str]
     joints: str
     load: str
+    weight: str = "Set tool and load data: the scanner with its bracket. The moves are in joint angles; no tool or base is used"
+    slow: str = "manual mode at reduced speed"
+    counts: str = ""
     line_end: str = "\n"
 
 
@@ -47,20 +51,24 @@ DIALECTS = {
         files={"NAME.src": "krl.src.j2", "NAME.dat": "krl.dat.j2"},
         joints="in NAME.dat, copied back from the controller",
         load="copy both files to KRC:\\R1\\Program; select NAME in T1",
+        slow="T1",
     ),
     "rapid": ControllerLanguage(
         maker="ABB",
         axes=(6,),
         files={"NAME.mod": "rapid.mod.j2"},
         joints="in HOME:/NAME.csv",
-        load="load NAME.mod into T_ROB1, move the pointer to mbcacq_run; the output is do_mbcacq_N",
+        load="load NAME.mod into T_ROB1, PP to Routine: mbcacq_run; define the digital output do_mbcacq_OUTPUT",
+        weight="Check mass and centre of gravity in tooldata mb_scanner, which all moves use: the scanner with its bracket",
     ),
     "karel": ControllerLanguage(
         maker="FANUC",
         axes=(6,),
         files={"NAME.kl": "karel.kl.j2", "mbc_move.ls": "karel.ls.j2"},
         joints="in UD1:\\NAME.csv",
-        load="translate NAME.kl (ktrans), load both; position register 90 and group 1 are used",
+        load="translate NAME.kl (ktrans), load both, set $KAREL_ENB to 1, select NAME; position register 90 and group 1 are used",
+        slow="T1",
+        counts="J3 from the horizontal: couplings: [{axis: 3, of: 2, factor: -1}]",
     ),
     "urscript": ControllerLanguage(
         maker="Universal Robots",
@@ -83,6 +91,7 @@ DIALECTS = {
         files={"JOB.JBI": "inform.jbi.j2"},
         joints="nowhere; write them down where they are wanted",
         load="load the job from a USB stick",
+        slow="TEACH",
         line_end="\r\n",
     ),
     "csv": ControllerLanguage("any other", (), {}, "wherever the controller writes them", "read it by a program of your own"),
@@ -100,8 +109,16 @@ def written(loaded: LoadedPlan, program: MotionProgram, dialect: str) -> dict[st
             f"{loaded.cell.robot.name} has {program.n} axes, and programs of {language.maker} are written for "
             f"{' or '.join(map(str, language.axes))}; take --for csv"
         )
+    if language.counts and loaded.plan.robot.controller_joints is None:
+        raise ConfigError(
+            f"{loaded.path}: controllers of {language.maker} count {language.counts}; write that under robot: controller_joints, "
+            "or {} there if the robot file counts as the controller does"
+        )
     job = program.name.upper().replace("_", "-")[:8]
     values: dict[str, Any] = {"program": program, "trigger": program.trigger, "job": job, "plain": plain}
+    robot = loaded.cell.robot
+    com = robot.payload_com if robot.payload_com.any() else [0, 0, 0.001]  # RAPID refuses a load without mass or place
+    values |= {"mass_kg": max(robot.payload_mass, 0.001), "com_mm": list(com)}
     if dialect == "inform":
         values["pulses"] = pulses(loaded, np.array([step.angles for step in program.steps if isinstance(step, MoveTo)])).tolist()
     files = {f"{program.name}.csv": _table(program)} if dialect == "csv" else {}

@@ -31,7 +31,8 @@ from mbcacq.recording.datasets.pose_columns import (
 
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
-_JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
+_JOINT = re.compile(r"^(q|j|a|theta|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
+_OTHER = re.compile("vel|effort|torque|current|target|command", re.IGNORECASE)
 _WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
 # Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
 _MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
@@ -165,7 +166,10 @@ def joints_among(headings: Sequence[str]) -> list[str]:
     found = _numbered_joints(headings, "") or _numbered_joints(headings, _MEASURED)
     n = len(found)
     first = min(found, default=1)  # RTDE counts from 0
-    return [found[i + first] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(first, n + first)) else []
+    if n >= LEAST_AXES and sorted(found) == list(range(first, n + first)):
+        return [found[i + first] for i in range(n)]
+    named = [[name for name in headings if word in name.lower() and not _OTHER.search(name)] for word in UR_JOINTS]
+    return [name for (name,) in named] if all(len(names) == 1 for names in named) else []
 
 
 def _numbered_joints(headings: Sequence[str], before: str) -> dict[int, str]:

@@ -56,7 +56,9 @@ def read_images(sources: Sequence[Path], poses: Table, board: Board, camera: Pat
     given = read_intrinsics(camera) if camera else None
     views, rows, missing, size = _found(files, row_of, board, given)
     at = {file.name: file for file in files}
-    return observations_of_views(ImageViews(board, views, at, missing, size, given), poses.rows(_mask(rows, len(poses))), options)
+    return observations_of_views(
+        ImageViews(board, views, at, missing, size, given), poses.rows(np.isin(np.arange(len(poses)), rows)), options
+    )
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,6 @@ def observations_of_views(seen: ImageViews, poses: Table, options: TableOptions)
     )
     obs = replace(found.observations, shared=adjusted.shared[good], images=images)
     return UnderstoodTable(obs, (*_sentences(adjusted, board, images), *warnings, *found.sentences))
-
-
-def _mask(rows: Sequence[int] | np.ndarray, count: int) -> np.ndarray:
-    return np.isin(np.arange(count), rows)
 
 
 def _images_of(sources: Sequence[Path]) -> list[Path]:

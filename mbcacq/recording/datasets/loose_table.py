@@ -209,6 +209,9 @@ def _sentences(
         yield "the balls are of an artefact without certificate: their places are estimated, to the scale of the instrument"
     if reading.inverted:
         yield "the target's columns are the pose of the camera as the target sees it"
+    if obs.phase is not None:
+        counts = zip(*np.unique(obs.phase, return_counts=True), strict=True)
+        yield f"phases: {', '.join(f'{count} {phase}' for phase, count in counts)}; poses of phase verification take no part in a fit"
     if obs.covariance is not None:
         yield "each measurement has a covariance of its own"
     stations = len(np.unique(obs.station))
@@ -358,6 +361,7 @@ def _observations(table: Table, reading: TableReading, options: TableOptions) ->
         xyz=np.concatenate(xyz)[order],
         rotation=np.concatenate(rotation)[order] if reading.targets[0].rotation else None,
         covariance=np.concatenate(covariance)[order] if covariance else None,
+        phase=np.array([cell.strip() for cell in table.text("phase")]) if table.has(["phase"]) else None,
         time_s=in_seconds(table.time("time_s")) if table.has(["time_s"]) else None,
     )
     return with_estimated_centres(_with_stated_noise(obs), str(table.path))
@@ -392,5 +396,8 @@ def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[Ro
     assert options.robot is not None, "refused before"
     columns = joint_columns(table)
     if len(columns) != options.robot.n:
-        raise ConfigError(f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes")
+        raise ConfigError(
+            f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes (the header has: "
+            f"{', '.join(table.columns)}); name them q1_deg, q2_deg .., or say which they are: --column q1_deg=NAME"
+        )
     return options.robot, joint_angles(table, columns, options.angle)

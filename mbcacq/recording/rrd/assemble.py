@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import RecordingError
-from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 
@@ -33,10 +32,10 @@ def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
     return Observations(
         cell=cell,
         pose_id=np.array(list(latest), dtype=np.int64),
-        station=_index(cell, [row["station"][0] for row in found], name),
+        station=_index([station.id for station in cell.stations], [row["station"][0] for row in found], f"{name}: station"),
         q=np.stack([row["q"] for row in found]),
         pose=np.repeat(np.arange(len(found)), count),
-        ball=_ball_index(cell, ball, name),
+        ball=_index(cell.ball_ids, ball.tolist(), f"{name}: ball"),
         xyz=np.concatenate([row["xyz"].reshape(-1, 3) for row in found]),
         phase=np.array([row["phase"][0] for row in found]),
         time_s=np.array([row["robot_time_s"][0] + shift[int(row["part"][0])] for row in found]),
@@ -84,20 +83,13 @@ def _sensors(found: Sequence[Row]) -> tuple[dict[str, np.ndarray], dict[str, np.
     return temperatures, extra
 
 
-def _index(cell: Cell, stations: Sequence[str], name: str) -> np.ndarray:
-    index = {station.id: i for i, station in enumerate(cell.stations)}
-    unknown = sorted(set(stations) - set(index))
+def _index(known: Sequence[Any], measured: Sequence[Any], called: str) -> np.ndarray:
+    """The places of what was measured in what is known. called: what to call them."""
+    index = {one: i for i, one in enumerate(known)}
+    unknown = sorted(set(measured) - set(index))
     if unknown:
-        raise RecordingError(f"{name}: station '{unknown[0]}' was measured but is not in the recorded cell; is the recording complete?")
-    return np.array([index[station] for station in stations], dtype=np.int64)
-
-
-def _ball_index(cell: Cell, ball: np.ndarray, name: str) -> np.ndarray:
-    index = {ball_id: i for i, ball_id in enumerate(cell.ball_ids)}
-    unknown = sorted(set(ball.tolist()) - set(index))
-    if unknown:
-        raise RecordingError(f"{name}: ball {unknown[0]} was measured but is not in the recorded cell; is the recording complete?")
-    return np.array([index[b] for b in ball.tolist()], dtype=np.int64)
+        raise RecordingError(f"{called} {unknown[0]!r} was measured but is not in the recorded cell; is the recording complete?")
+    return np.array([index[one] for one in measured], dtype=np.int64)
 
 
 def _whole(values: np.ndarray) -> np.ndarray:

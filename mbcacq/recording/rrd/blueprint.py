@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-import yaml
 from rerun.blueprint import encodings
 
 from mbcacq.geometry.chain import Chain
-from mbcacq.model import yaml12
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.chart import SHEET_HEIGHT, SHEET_WIDTH, sheet_height
 from mbcacq.recording.rrd.drawable import drawable
+from mbcacq.recording.rrd.of_plan import of_plan
 from mbcacq.recording.rrd.scan_colouring import RANGE_MM
 
 Point = tuple[float, float, float]
@@ -41,6 +40,7 @@ class Enlarged:
     responses: tuple[str, ...] = ()  # titles of the charts of the diagnosis
     compared: bool = True  # whether there is a state before the calibration
     investigated: bool = False  # whether the cell chose its poses itself
+    unit: str = "°"  # of positions of the axes
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,11 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
 
 def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     axes = rrb.Vertical(
-        _curves("Joint positions: commanded (broad), actual (thin), °", [layout.SET, layout.JOINTS], legend=False, whole=True),
+        _curves(
+            f"Joint positions: commanded (broad), actual (thin), {enlarged.unit}", [layout.SET, layout.JOINTS], legend=False, whole=True
+        ),
         rrb.Horizontal(
-            _curves("Following error (commanded minus actual), °", [layout.FOLLOWING], legend=False, whole=True),
+            _curves(f"Following error (commanded minus actual), {enlarged.unit}", [layout.FOLLOWING], legend=False, whole=True),
             _curves("Motor current, % of the largest", [layout.CURRENT], legend=False, whole=True),
         ),
         row_shares=[15, 8],
@@ -264,7 +266,8 @@ def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = 
 
 def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:
     """The blueprint with its camera placed so that the arm and the planned stations fill the view."""
-    return blueprint(place_camera(cell.robot.chain, stations(plan_yaml)), enlarged, live, len(cell.ball_ids))
+    shown = replace(enlarged, unit="°, cm of axes that slide") if cell.robot.chain.sliding else enlarged
+    return blueprint(place_camera(cell.robot.chain, stations(plan_yaml)), shown, live, len(cell.ball_ids))
 
 
 def place_camera(chain: Chain, places: np.ndarray) -> ViewerCamera:
@@ -285,8 +288,8 @@ def _point(xyz: np.ndarray) -> Point:
 
 def stations(plan_yaml: str) -> np.ndarray:
     """(S, 3) planned places, none where the run has no plan of that form."""
-    try:
-        places = [station["pose_in_base"]["translation_mm"] for station in yaml12.load(plan_yaml)["stations"]]
-        return np.array(places, dtype=float).reshape(-1, 3)
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return np.zeros((0, 3))
+
+    def read(plan: Any) -> np.ndarray:
+        return np.array([station["pose_in_base"]["translation_mm"] for station in plan["stations"]], dtype=float).reshape(-1, 3)
+
+    return of_plan(plan_yaml, read, np.zeros((0, 3)))

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from rerun import escape_entity_path_part as in_path
 
 from mbcacq.recording.rrd.drawable import drawable
 
@@ -92,7 +93,7 @@ class Chart:
             self._key(name, colour)
 
     def points(self, name: str, x: np.ndarray, y: np.ndarray, colour: Colour, radius: float = 2.2) -> None:
-        self._rec.log(f"{self._entity}/{_part(name)}", rr.Points2D(self.at(x, y), colors=[colour], radii=radius), static=True)
+        self._log(in_path(name), rr.Points2D(self.at(x, y), colors=[colour], radii=radius))
         self._key(name, colour)
 
     def line(self, name: str, x: np.ndarray, y: np.ndarray, colour: Colour) -> None:
@@ -102,46 +103,32 @@ class Chart:
     def _axes(self, names: Sequence[str] | None) -> None:
         left, right, top, bottom = LEFT, SHEET_WIDTH - RIGHT, TOP, self._height - BOTTOM
         frame = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
-        self._rec.log(f"{self._entity}/frame", rr.LineStrips2D([frame], colors=[GRID], radii=0.6), static=True)
-        places: list[np.ndarray] = []
-        texts: list[str] = []
-        grid: list[np.ndarray] = []
-        for v in ticks(self._y, 6 if self._height > 1.5 * FLATTEST else 3):
-            at = self.at(self._x[0], v)[0]
-            places.append(at - [34.0, 9.0])
-            texts.append(written(v))
-            grid.append(np.array([at, [right, at[1]]]))
+        self._log("frame", rr.LineStrips2D([frame], colors=[GRID], radii=0.6))
+        rows = ticks(self._y, 6 if self._height > 1.5 * FLATTEST else 3)
+        at = self.at(self._x[0], rows)
         if names is None:
             marks = [(v, written(v)) for v in ticks(self._x, 8)]
         else:
             every = len(names) // 16 + 1
             marks = [(float(k), name) for k, name in enumerate(names) if k % every == 0]
-        for v, text in marks:
-            places.append(self.at(v, self._y[0])[0] + [0.0, 4.0])
-            texts.append(text)
-        self._rec.log(f"{self._entity}/grid", rr.LineStrips2D(grid, colors=[GRID], radii=0.4), static=True)
-        self._labels("ticks", places, texts)
+        self._log("grid", rr.LineStrips2D([np.array([a, [right, a[1]]]) for a in at], colors=[GRID], radii=0.4))
+        places = [*(at - [34.0, 9.0]), *(self.at(v, self._y[0])[0] + [0.0, 4.0] for v, _ in marks)]
+        self._labels("ticks", places, [*map(written, rows), *(text for _, text in marks)])
 
     def _key(self, name: str, colour: Colour) -> None:
         """The entry of the legend, above the chart."""
         half = LETTER * len(name) / 2 + 12.0
         at = np.array([self._key_end + 22.0 + half, TOP / 2])
         self._key_end = at[0] + half + 14.0
-        self._rec.log(f"{self._entity}/key/{_part(name)}", rr.Points2D([at - [half + 8.0, 0.0]], colors=[colour], radii=5.0), static=True)
-        self._labels(f"key/{_part(name)}/text", [at - [0.0, 12.0]], [name])
+        self._log(f"key/{in_path(name)}", rr.Points2D([at - [half + 8.0, 0.0]], colors=[colour], radii=5.0))
+        self._labels(f"key/{in_path(name)}/text", [at - [0.0, 12.0]], [name])
 
     def _labels(self, part: str, places: Sequence[np.ndarray], texts: Sequence[str]) -> None:
-        self._rec.log(
-            f"{self._entity}/{part}",
-            rr.Points2D(np.array(places), labels=[drawable(text) for text in texts], show_labels=True, radii=0.01, colors=[INK]),
-            static=True,
-        )
+        labels = [drawable(text) for text in texts]
+        self._log(part, rr.Points2D(np.array(places), labels=labels, show_labels=True, radii=0.01, colors=[INK]))
 
     def _strips(self, name: str, strips: Sequence[Sequence[np.ndarray] | np.ndarray], colour: Colour, radius: float) -> None:
-        self._rec.log(
-            f"{self._entity}/{_part(name)}", rr.LineStrips2D([np.array(s) for s in strips], colors=[colour], radii=radius), static=True
-        )
+        self._log(in_path(name), rr.LineStrips2D([np.array(s) for s in strips], colors=[colour], radii=radius))
 
-
-def _part(name: str) -> str:
-    return rr.escape_entity_path_part(name)
+    def _log(self, part: str, shape: rr.AsComponents) -> None:
+        self._rec.log(f"{self._entity}/{part}", shape, static=True)

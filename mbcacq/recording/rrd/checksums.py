@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from mbcacq.files.atomic_write import inside_folder, sync_file
+from mbcacq.files.atomic_write import own_file, sync_file
 from mbcacq.recording.rrd.checked_lines import Lines, checked_line, read_lines
 
 FILE = "checksums.jsonl"
@@ -33,7 +33,7 @@ class Stretch:
 def note_stretch(folder: Path, stretch: Stretch) -> None:
     """Append a line. Raises OSError."""
     entry = {"file": stretch.file, "start": stretch.start, "end": stretch.end, "poses": list(stretch.poses), "sha256": stretch.sha256}
-    with inside_folder(folder / FILE).open("ab") as file:
+    with own_file(folder / FILE).open("ab") as file:
         file.write(checked_line(entry))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
+from rerun import escape_entity_path_part as in_path
 
 from mbcacq.recording.rrd import layout
 
@@ -28,12 +29,8 @@ class WeighedPoses:
 def log_choice(rec: rr.RecordingStream, weighed: WeighedPoses) -> None:
     """Write it at the present times of a stream."""
     for name, odds in weighed.sets:
-        rec.log(f"{layout.ODDS}/{_part(name)}", rr.Scalars(float(np.log10(max(odds, LEAST_ODDS)))))
+        rec.log(f"{layout.ODDS}/{in_path(name)}", rr.Scalars(float(np.log10(max(odds, LEAST_ODDS)))))
     for name, size in weighed.could_hide:
-        rec.log(f"{layout.COULD_HIDE}/{_part(name)}", rr.Scalars(float(np.log10(np.clip(size, 1 / LARGEST_SIZE, LARGEST_SIZE)))))
+        rec.log(f"{layout.COULD_HIDE}/{in_path(name)}", rr.Scalars(float(np.log10(np.clip(size, 1 / LARGEST_SIZE, LARGEST_SIZE)))))
     colors = [GHOST] * len(weighed.looks)
     rec.log(layout.NEXT, rr.LineStrips3D(np.asarray(weighed.looks, dtype=np.float32), colors=colors, radii=2.0))
-
-
-def _part(name: str) -> str:
-    return rr.escape_entity_path_part(name)

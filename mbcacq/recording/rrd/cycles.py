@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import rerun as rr
 
@@ -45,7 +47,8 @@ class CycleWriter:
         host = host + offset
         whole = rows.columns(layout.CYCLES_ARCHETYPE, {layout.PACKED: packed(columns)[None]})
         self._rec.send_columns(layout.CYCLES, [rr.TimeColumn(layout.TIME, duration=host[-1:])], whole)
-        self._kept.append({"host": host, "robot": columns["time_s"], **_curves(columns), "q": columns["q"]})
+        curves = _curves(columns, in_degrees if cell is None else cell.robot.drawn)
+        self._kept.append({"host": host, "robot": columns["time_s"], **curves, "q": columns["q"]})
         if time_s - self._shown >= self._period_s:
             self._shown = time_s
             self.show(cell)
@@ -109,11 +112,11 @@ def _extremes(values: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.where(high >= -low, high, low)
 
 
-def _curves(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    curves = {layout.JOINTS: in_degrees(columns["q"])}
+def _curves(columns: dict[str, np.ndarray], drawn: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+    curves = {layout.JOINTS: drawn(columns["q"])}
     asked = columns.get("q_command", columns.get("q_set"))  # a controller's own set point may lack the corrections it was sent
     if asked is not None:
-        curves[layout.SET] = in_degrees(asked)
+        curves[layout.SET] = drawn(asked)
         curves[layout.FOLLOWING] = curves[layout.SET] - curves[layout.JOINTS]
     if "current_percent" in columns:
         curves[layout.CURRENT] = np.asarray(columns["current_percent"], dtype=float)

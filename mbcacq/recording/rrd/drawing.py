@@ -62,7 +62,7 @@ class Drawing:
 
     def reached(self, event: events.PoseReached) -> None:
         self._form = []
-        self._rec.log(layout.JOINTS, rr.Scalars(in_degrees(event.q)))
+        self._rec.log(layout.JOINTS, rr.Scalars(in_degrees(event.q) if self._cell is None else self._cell.robot.drawn(event.q)))
         if self._cell is not None:
             station = next((s for s in self._cell.stations if s.id == event.station), None)
             self.artefact = None if station is None else self._cell.artefact(station.artefact)

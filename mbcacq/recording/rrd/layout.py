@@ -114,7 +114,7 @@ def part_name(part: int) -> str:
 
 def parts(folder: Path) -> list[Path]:
     """The recordings of a run folder in the order they were made; a recovered copy stands in for its torn original."""
-    found = {int(match[1] or 1): path for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))}
+    found = _by_number(folder)
     for path in folder.glob(f"run*{RECOVERED}*.rrd"):
         match = _PART.fullmatch(re.sub(rf"{re.escape(RECOVERED)}(-\d+)?", "", path.name))
         number = int(match[1] or 1) if match else 0
@@ -125,14 +125,16 @@ def parts(folder: Path) -> list[Path]:
 
 def originals(folder: Path) -> list[Path]:
     """The recordings of a run folder as they were written, in order, recovered copies left out."""
-    found = {int(match[1] or 1): path for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))}
-    return [found[number] for number in sorted(found)]
+    return [path for _, path in sorted(_by_number(folder).items())]
 
 
 def next_part(folder: Path) -> int:
     """Number of the recording that comes next in a run folder (0 where it holds none)."""
-    numbers = [int(match[1] or 1) for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))]
-    return max(numbers, default=0)
+    return max(_by_number(folder), default=0)
+
+
+def _by_number(folder: Path) -> dict[int, Path]:
+    return {int(match[1] or 1): path for path in folder.glob("run*.rrd") if (match := _PART.fullmatch(path.name))}
 
 
 def recovered_of(path: Path) -> Path | None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 
 import pyarrow as pa
 
@@ -71,23 +71,19 @@ def _begins_as_recording(path: Path) -> bool:
         return True
 
 
-class _named_errors:
+@contextmanager
+def _named_errors(path: Path) -> Iterator[None]:
     """Turns what the rerun library raises into one sentence."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._warnings = warnings.catch_warnings()
-
-    def __enter__(self) -> None:
-        self._warnings.__enter__()
-        warnings.simplefilter("ignore")  # a file without footer is read as well as one with
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._warnings.__exit__(kind, error, trace)
-        if isinstance(error, (RuntimeError, ValueError, OSError, pa.ArrowException)) and not isinstance(error, MbcacqError):
-            if not _begins_as_recording(self._path):
-                raise RecordingError(f"{self._path} is no recording: it does not begin as a .rrd file does; give another file") from None
-            raise RecordingError(
-                f"{self._path} is torn or is no .rrd file ({(str(error).splitlines() or [type(error).__name__])[0]}); "
-                f"make what is left of it readable: mbcacq recover {self._path}"
-            ) from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a file without footer is read as well as one with
+            yield
+    except MbcacqError:
+        raise
+    except (RuntimeError, ValueError, OSError, pa.ArrowException) as error:
+        if not _begins_as_recording(path):
+            raise RecordingError(f"{path} is no recording: it does not begin as a .rrd file does; give another file") from None
+        raise RecordingError(
+            f"{path} is torn or is no .rrd file ({(str(error).splitlines() or [type(error).__name__])[0]}); "
+            f"make what is left of it readable: mbcacq recover {path}"
+        ) from None

@@ -8,12 +8,16 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from mbcacq.devices import kill
 from mbcacq.errors import RecordingError
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
+
+MOST_SAID = 1 << 16  # characters
 
 
 def program() -> str:
@@ -56,18 +60,23 @@ def started(arguments: Sequence[str], environment: dict[str, str], out: int, err
 
 
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end; it and its children are killed when the time is over."""
-    with quiet_environment() as environment:
-        child = started(arguments, environment, subprocess.PIPE, subprocess.PIPE)
-        try:
-            out, err = child.communicate(timeout=timeout_s)
-        except BaseException as error:
-            kill(child)
-            child.communicate()
-            if isinstance(error, subprocess.TimeoutExpired):
-                raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped") from None
-            raise
-    return subprocess.CompletedProcess(child.args, child.returncode, out, err)
+    """Run the program to its end; it and its children are killed when the time is over. The beginning of what it says is kept: on a damaged
+    file it may repeat an error without end."""
+    with quiet_environment() as environment, ExitStack() as stack:
+        child = stack.enter_context(started(arguments, environment, subprocess.PIPE, subprocess.STDOUT))
+        stack.callback(kill, child)
+        over = threading.Event()
+        late = threading.Timer(timeout_s, lambda: (over.set(), kill(child)))
+        stack.callback(late.cancel)
+        late.start()
+        assert child.stdout is not None, "it is a pipe"
+        said = child.stdout.read(MOST_SAID)
+        while child.stdout.read(MOST_SAID):
+            pass
+        child.wait()
+    if over.is_set():
+        raise RecordingError(f"rerun {' '.join(arguments[:2])} did not end within {timeout_s:g} s and was stopped")
+    return subprocess.CompletedProcess(child.args, child.returncode, said)
 
 
 def error_line(result: subprocess.CompletedProcess[str]) -> str:

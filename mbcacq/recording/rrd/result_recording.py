@@ -231,14 +231,8 @@ def _log_stations(stream: rr.RecordingStream, obs: Observations, after: CellStat
         station = obs.cell.stations[s]
         artefact = obs.cell.artefact(station.artefact)
         entity = f"{layout.CALIBRATED}/{rr.escape_entity_path_part(station.id)}"
-        move = scene.transforms(after.T_base_station[[s]])
         own = obs.cell.ball_artefact == obs.cell.artefacts.index(artefact)
-        stream.log(
-            entity,
-            rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]),
-            rr.TransformAxes3D(axis_length=30.0),
-            static=True,
-        )
+        stream.log(entity, scene.placed(after.T_base_station[s]), rr.TransformAxes3D(axis_length=30.0), static=True)
         half = np.repeat(np.maximum(artefact.diameters / 2, 1.0)[:, None], 3, axis=1)
         stream.log(
             f"{entity}/certified",

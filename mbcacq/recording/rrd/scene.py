@@ -6,19 +6,18 @@ from typing import Any, TypedDict
 
 import numpy as np
 import rerun as rr
-import yaml
 from rerun.components import MarkerShape
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.link_shapes import link_corners, link_radii
-from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.drawn_later import Stream
+from mbcacq.recording.rrd.of_plan import of_plan
 
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
@@ -39,7 +38,7 @@ def log_static(rec: rr.RecordingStream, cell: Cell, plan_yaml: str, *, view: boo
         _log_arm(rec, cell.robot.chain)
     if view:
         _log_scanner(rec, _field_of_view(plan_yaml))
-    log_series(rec, cell.robot.axes)
+    log_series(rec, cell.robot.drawn_axes if cell.robot.chain.sliding else cell.robot.axes)
     states = {
         "connecting": (130, 130, 130),
         "moving": (86, 180, 233),
@@ -94,11 +93,11 @@ def log_ball_series(rec: Stream, cell: Cell) -> None:
 
 def log_obstacles(rec: Stream, plan_yaml: str) -> None:
     """The plan's boxes, as outlines; those that would only frame the whole scene (a floor) are left to the grid."""
-    try:
-        given = yaml12.load(plan_yaml)["obstacles"]
-        boxes = [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in given]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return
+
+    def read(plan: Any) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        return [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in plan["obstacles"]]
+
+    boxes = of_plan(plan_yaml, read, [])
     boxes = [(name, low, high) for name, low, high in boxes if np.max(high - low) <= LARGEST_BOX]
     if boxes:
         rec.log(
@@ -127,6 +126,12 @@ def transforms(T: np.ndarray) -> TransformColumns:
     return {"translation": T[:, :3, 3].astype(np.float32), "quaternion": quaternions.from_matrix(T[:, :3, :3])[:, [1, 2, 3, 0]]}
 
 
+def placed(T: np.ndarray) -> rr.Transform3D:
+    """At a pose (4, 4)."""
+    move = transforms(T[None])
+    return rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0])
+
+
 def arm_frames(cell: Cell, q: np.ndarray) -> dict[str, np.ndarray]:
     """Entity -> (k, 4, 4) T_base_link of every link and T_base_scanner, for q (k, n) rad."""
     frames = cell.robot.chain.frames(q)
@@ -137,8 +142,7 @@ def arm_frames(cell: Cell, q: np.ndarray) -> dict[str, np.ndarray]:
 def log_arm(rec: Stream, cell: Cell, q: np.ndarray) -> None:
     """The arm at one posture q (n,) rad, at the times set on the stream."""
     for entity, T in arm_frames(cell, q[None]).items():
-        move = transforms(T)
-        rec.log(entity, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
+        rec.log(entity, placed(T[0]))
 
 
 def log_texts(rec: rr.RecordingStream, plan_yaml: str, cell_yaml: str) -> None:
@@ -184,9 +188,10 @@ def log_limits(rec: Stream) -> None:
 
 def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
     thick, corners = link_radii(chain), link_corners(chain)
-    foot = max(0.45 * abs(float(chain.d[0])), 0.4 * thick[0])
+    floor = chain.floor
+    foot = max(0.45 * abs(float(chain.d[floor])), 0.4 * thick[0])
     rec.log(
-        f"{layout.ROBOT}/base",
+        f"{layout.link(floor) if floor else layout.ROBOT}/base",
         rr.Cylinders3D(
             lengths=[foot, 0.18 * foot],
             radii=[1.35 * thick[0], 1.9 * thick[0]],
@@ -197,19 +202,19 @@ def _log_arm(rec: rr.RecordingStream, chain: Chain) -> None:
         static=True,
     )
     step = se3.inverse(chain.link_transforms(-chain.sign * chain.theta[None])[0])
-    for i in range(chain.n):
+    for i, radius in enumerate(thick, floor):
         corner = corners[i]
         axis = step[i][:3, 2]
-        if i == 0 and chain.d[0] > foot:
+        if i == floor and chain.d[i] > foot:
             corner[0] = corner[0] + axis * foot
         last = i == chain.n - 1
-        _log_capsules(rec, f"{layout.link(i + 1)}/body", corner, 0.8 * thick[i], FLANGE if last else ARM)
+        _log_capsules(rec, f"{layout.link(i + 1)}/body", corner, 0.8 * radius, FLANGE if last else ARM)
         if not last:
             rec.log(
                 f"{layout.link(i + 1)}/joint",
                 rr.Cylinders3D(
-                    lengths=[2.1 * thick[i]],
-                    radii=[1.02 * thick[i]],
+                    lengths=[2.1 * radius],
+                    radii=[1.02 * radius],
                     centers=[corner[0]],
                     quaternions=[_z_to(axis)],
                     colors=[JOINT],
@@ -250,11 +255,10 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
     edges = [np.vstack([face, face[:1]]) for face in faces] + [np.stack([faces[0][k], faces[1][k]]) for k in range(4)]
     rec.log(f"{layout.SCANNER}/view", rr.LineStrips3D(edges, colors=[VIEW], radii=rr.Radius.ui_points(1.0)), static=True)
     if body := view.get("body_mm"):
-        window = np.append(np.mean(np.array(body, dtype=float), axis=0)[:2], np.min(np.array(body, dtype=float)[:, 2]))
+        low, high = np.array(body, dtype=float)
+        window = np.append((low + high)[:2] / 2, min(low[2], high[2]))
         rays = [np.stack([window, corner]) for corner in faces[0]]
         rec.log(f"{layout.SCANNER}/rays", rr.LineStrips3D(rays, colors=[(*VIEW, 90)], radii=rr.Radius.ui_points(0.5)), static=True)
-    if body := view.get("body_mm"):
-        low, high = np.array(body, dtype=float)
         rec.log(
             f"{layout.SCANNER}/housing",
             rr.Boxes3D(centers=[(low + high) / 2], half_sizes=[(high - low) / 2], colors=[HOUSING], fill_mode="solid"),
@@ -265,20 +269,18 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
 
 def home(plan_yaml: str, n: int) -> np.ndarray:
     """(n,) rad, the plan's home: how the arm is drawn until it reports itself."""
-    try:
-        q = from_degrees(np.array(yaml12.load(plan_yaml)["robot"]["home_deg"], dtype=float))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return np.zeros(n)
+    q = of_plan(plan_yaml, lambda plan: from_degrees(np.array(plan["robot"]["home_deg"], dtype=float)), np.zeros(n))
     return q if q.shape == (n,) else np.zeros(n)
 
 
 def _field_of_view(plan_yaml: str) -> dict[str, Any]:
     """The plan's field of view, or a small cone where the run has no plan of that form."""
-    try:
-        view = yaml12.load(plan_yaml)["scanner"]["field_of_view"]
+
+    def read(plan: Any) -> dict[str, Any]:
+        view = plan["scanner"]["field_of_view"]
         return {**view, "near_z_mm": float(view["near_z_mm"])}
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
-        return {"near_z_mm": 20.0, "far_z_mm": -20.0, "near_half_mm": (30.0, 30.0), "far_half_mm": (40.0, 40.0)}
+
+    return of_plan(plan_yaml, read, {"near_z_mm": 20.0, "far_z_mm": -20.0, "near_half_mm": (30.0, 30.0), "far_half_mm": (40.0, 40.0)})
 
 
 def _z_to(direction: np.ndarray) -> np.ndarray:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
-import yaml
 
-from mbcacq.model import yaml12
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.drawn_later import Stream
+from mbcacq.recording.rrd.of_plan import of_plan
 
 BELOW_MM = 60.0  # of a station's origin: the bracket that holds the artefact stands on the table there
 FOOT_MM = 100.0  # that the column reaches below the lowest table
@@ -30,14 +30,14 @@ class StationStand:
     @classmethod
     def of(cls, plan_yaml: str) -> StationStand | None:
         """None if the plan has no positioner with a motor, or is of another form."""
-        try:
-            plan = yaml12.load(plan_yaml)
+
+        def read(plan: Any) -> StationStand | None:
             if plan["positioner"]["driver"] == "manual":
                 return None
             places = {str(s["id"]): np.array(s["pose_in_base"]["translation_mm"], float).reshape(3) for s in plan["stations"]}
-        except (yaml.YAMLError, KeyError, TypeError, ValueError):
-            return None
-        return cls(places, turning_axis(np.array(list(places.values())).reshape(-1, 3)[:, :2]))
+            return cls(places, turning_axis(np.array(list(places.values())).reshape(-1, 3)[:, :2]))
+
+        return of_plan(plan_yaml, read, None)
 
     def log(self, rec: Stream, station: str) -> None:
         """Draw it as it stands at that station, at the times set on the stream."""

@@ -279,11 +279,9 @@ class Recorder:
             self._write_scan(held)
 
     def _write_scan(self, event: events.ScanTaken) -> None:
-        move = scene.transforms(self._T_base_scanner[None])
         pack = not self._all_points and packable(event.scan)
         points = [] if pack else [rr.Points3D(event.scan.points)]
-        place = rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0])
-        self._rec.log(layout.SCAN, place, *points, scan_row(event, pack=pack))
+        self._rec.log(layout.SCAN, scene.placed(self._T_base_scanner), *points, scan_row(event, pack=pack))
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:

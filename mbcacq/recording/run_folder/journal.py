@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
-from mbcacq.files.atomic_write import inside_folder, sync_folder
+from mbcacq.files.atomic_write import own_file, sync_folder
 from mbcacq.model.cell import SIMULATED
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
@@ -142,7 +142,7 @@ def read_log(folder: Path | str) -> list[dict[str, Any]]:
 
 def _open(path: Path) -> BinaryIO:
     """Open for appending; a torn last line left by a crash is ended first, so that it spoils no other."""
-    path = inside_folder(path)
+    path = own_file(path)
     torn = path.exists() and path.stat().st_size > 0 and path.read_bytes()[-1:] != b"\n"
     file = path.open("ab")
     if torn:

@@ -56,10 +56,9 @@ def _is_copy(folder: Path) -> bool:
 
 
 def _marked(mark: Path) -> Path | None:
-    """The folder that a mark names, there or not; None if there is no mark."""
-    if mark.is_symlink():
-        return mark.parent / mark.readlink()
-    return mark.parent / mark.read_text(encoding="utf-8").strip() if mark.is_file() else None
+    """The folder beside it that a mark names, there or not; None if there is no mark, or one of somebody else that leads elsewhere."""
+    name = str(mark.readlink()) if mark.is_symlink() else mark.read_text(encoding="utf-8").strip() if mark.is_file() else ""
+    return mark.parent / name if name and Path(name).name == name != ".." else None
 
 
 def refuse_plan(path: Path) -> None:

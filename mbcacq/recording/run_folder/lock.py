@@ -39,6 +39,7 @@ def write_lock(folder: Path | str, command: str) -> Iterator[None]:
         return
     try:
         with suppress(OSError):  # a full disk: the lock holds, only its owner's name is missing
+            owner.unlink(missing_ok=True)  # of a process that was killed, or with a further name
             owner.write_text(json.dumps({"pid": os.getpid(), "command": command}), encoding="utf-8")
         yield
     finally:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.files.atomic_write import inside_folder, publish
+from mbcacq.files.atomic_write import fresh, publish
 from mbcacq.model.json_text import FilePath
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_made, read_stretches
@@ -81,6 +81,8 @@ def _made_readable(path: Path) -> list[Recovered]:
 
 
 def _recover_file(source: Path) -> Recovered:
+    if not source.is_file():  # rerun's program would read a folder without end
+        raise NothingRecovered(f"{_nothing([source])}: it is no file, or a link that leads to none")
     if source.stat().st_size == 0:
         raise NothingRecovered(f"{_nothing([source])}: it is empty, nothing was ever written into it")
     if _verified(source):
@@ -106,7 +108,7 @@ def _merge_what_is_whole(source: Path, output: Path) -> None:
         whole = [stretch for stretch in stretches if digest_of_file(source, stretch.start, stretch.end) == (stretch.sha256, stretch.end)]
         if len(whole) == len(stretches) or stretches[0] not in whole:
             raise  # nothing is known to be damaged, or what all else refers to is
-        cut = inside_folder(source.with_name(f".{source.stem}.whole.rrd"))
+        cut = fresh(source.with_name(f".{source.stem}.whole.rrd"))
         try:
             with source.open("rb") as original, cut.open("wb") as copy:
                 for stretch in whole:
@@ -124,7 +126,7 @@ def _merge(sources: list[Path], output: Path) -> None:
     free = shutil.disk_usage(output.parent).free
     if free < size + (16 << 20):
         raise RecordingError(f"the copy needs {size >> 20} MiB, only {free >> 20} MiB are free in {output.parent}; free some space")
-    partial = inside_folder(output.with_name(f".{output.stem}.part.rrd"))
+    partial = fresh(output.with_name(f".{output.stem}.part.rrd"))
     try:
         result = rerun_program.run(["rrd", "merge", "--continue-on-error", *map(str, sources), "-o", str(partial)])
         if result.returncode or not partial.exists():

@@ -90,9 +90,12 @@ def plan_of_run(folder: Path) -> Path:
 def keep_plan(folder: Path, plan: str, plan_files: str) -> None:
     """Write the plan's text and ``plan_files_text``, with their checksums. They are on the disk when the call returns."""
     for name, text in ((PLAN, plan), (FILES, plan_files)):
-        data = text.encode("utf-8")
-        write_file(folder / name, data)
-        note_whole(folder, name, data)
+        _keep(folder, name, text)
+
+
+def _keep(folder: Path, name: str, text: str) -> None:
+    write_file(folder / name, data := text.encode("utf-8"))
+    note_whole(folder, name, data)
 
 
 def read_kept_plan(folder: Path) -> KeptPlan:
@@ -111,9 +114,7 @@ def read_kept_plan(folder: Path) -> KeptPlan:
             continue
         copy = _recorded(parts, name)
         if copy is not None:
-            data = copy.encode("utf-8")
-            write_file(folder / name, data)
-            note_whole(folder, name, data)
+            _keep(folder, name, copy)
             found[name] = copy
             repairs.append(f"{folder / name} {what}; it was restored from {layout.RUN_FILE}")
         elif parts:

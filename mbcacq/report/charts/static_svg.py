@@ -39,12 +39,9 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     height = scale * float(figure.layout.get("height") or 300)
     drawing = Figure(figsize=(width_px / PX_PER_INCH, height / PX_PER_INCH), layout="constrained")
     axes = drawing.add_subplot()
-    categories = _Categories()
-    bars = [trace for trace in figure.data if trace.get("type") == "bar"]
-    for number, trace in enumerate(figure.data):
-        DRAW[trace["type"]](axes, trace, _Place(categories, bars, figure.layout.get("barmode") or "group", number))
-    categories.upright = any(bar.get("orientation") == "h" for bar in bars)
-    _finish(axes, figure.layout, categories, max(int(width_px / LEGEND_PX), 1))
+    for trace in figure.data:
+        DRAW[trace["type"]](axes, trace, figure)
+    _finish(axes, figure.layout, max(int(width_px / LEGEND_PX), 1))
     if isinstance(axes.xaxis.get_major_locator(), AutoLocator):
         axes.locator_params(axis="x", nbins=max(int(width_px / TICK_PX), 3))
     out = io.StringIO()
@@ -52,37 +49,20 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     return out.getvalue()
 
 
-class _Categories:
-    """Names on the horizontal axis, numbered in the order of their first use; numbers stay numbers. upright: they are on the vertical
-    one."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self.upright = False
-
-    def numbers(self, values: Any, category: bool = False) -> np.ndarray:
-        values = np.atleast_1d(np.asarray(values))
-        if values.dtype.kind in "biuf" and not category:
-            return values.astype(float)
-        if values.dtype.kind == "O" and not category and all(isinstance(v, int | float | None) for v in values):
-            return values.astype(float)
-        for name in map(str, values):
-            if name not in self.names:
-                self.names.append(name)
-        return np.array([self.names.index(str(v)) for v in values], dtype=float)
+def _numbers(axis: Any, values: Any) -> np.ndarray:
+    """Numbers as they are, names as the axis numbers them."""
+    values = np.atleast_1d(np.asarray(values))
+    if values.dtype.kind in "biuf" or (values.dtype.kind == "O" and all(isinstance(v, int | float | None) for v in values)):
+        return values.astype(float)
+    names = list(map(str, values))
+    axis.update_units(names)
+    return np.asarray(axis.convert_units(names), dtype=float)
 
 
-class _Place:
-    """What a trace needs to know of the others. number: its own, among all."""
-
-    def __init__(self, categories: _Categories, bars: list[Any], barmode: str, number: int) -> None:
-        self.categories, self.bars, self.barmode, self.number = categories, bars, barmode, number
-
-
-def _scatter(axes: Any, trace: Any, place: _Place) -> None:
+def _scatter(axes: Any, trace: Any, figure: Any) -> None:
     if trace.get("x") is None or trace.get("y") is None:
         return
-    x, y = place.categories.numbers(trace.get("x")), place.categories.numbers(trace.get("y"))
+    x, y = _numbers(axes.xaxis, trace.get("x")), _numbers(axes.yaxis, trace.get("y"))
     if trace.get("fill") == "toself":
         axes.fill(x, y, color=_rgba(trace["fillcolor"]), linewidth=0, label=_label(trace))
         return
@@ -104,23 +84,23 @@ def _scatter(axes: Any, trace: Any, place: _Place) -> None:
         axes.errorbar(x, y, yerr=np.asarray(_of(trace, "error_y.array"), dtype=float), fmt="none", ecolor=colour, elinewidth=0.8, capsize=2)
 
 
-def _bar(axes: Any, trace: Any, place: _Place) -> None:
+def _bar(axes: Any, trace: Any, figure: Any) -> None:
     flat = trace.get("orientation") == "h"
-    at, size = (trace.get("y"), trace.get("x")) if flat else (trace.get("x"), trace.get("y"))
-    at, size = place.categories.numbers(at, category=not flat and not _numeric(at)), np.asarray(size, dtype=float)
+    across, along = ("y", "x") if flat else ("x", "y")
+    at, size = _numbers(getattr(axes, f"{across}axis"), trace.get(across)), np.asarray(trace.get(along), dtype=float)
     width = np.asarray(trace.get("width") if trace.get("width") is not None else 0.72, dtype=float)
-    base = np.zeros(len(size)) if trace.get("base") is None else np.broadcast_to(np.asarray(trace.get("base"), dtype=float), size.shape)
-    own = [one is trace for one in place.bars].index(True)
-    if place.barmode == "stack":
-        base = base + sum(np.asarray(one.get("x") if flat else one.get("y"), dtype=float) for one in place.bars[:own])
-    elif len(place.bars) > 1 and trace.get("width") is None:
-        width = width / len(place.bars)
-        at = at + (own - (len(place.bars) - 1) / 2) * width
+    bars, base = [one for one in figure.data if one.get("type") == "bar"], np.zeros(len(size))
+    own = [one is trace for one in bars].index(True)
+    if figure.layout.get("barmode") == "stack":
+        base = sum((np.asarray(one.get(along), dtype=float) for one in bars[:own]), base)
+    elif len(bars) > 1 and trace.get("width") is None:
+        width = width / len(bars)
+        at = at + (own - (len(bars) - 1) / 2) * width
     draw: Callable = axes.barh if flat else axes.bar
     draw(at, size, width, base, color=_one(_of(trace, "marker.color")) or DEFAULT, label=_label(trace))
 
 
-def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
+def _heatmap(axes: Any, trace: Any, figure: Any) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -144,18 +124,17 @@ def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
         bar.set_ticks(list(_of(trace, "colorbar.tickvals")), labels=[_plain(str(t)) for t in _of(trace, "colorbar.ticktext")])
 
 
-def _histogram(axes: Any, trace: Any, place: _Place) -> None:
+def _histogram(axes: Any, trace: Any, figure: Any) -> None:
     values, colour = np.asarray(trace["x"], dtype=float), _one(_of(trace, "marker.color")) or DEFAULT
     axes.hist(values, bins=trace.get("nbinsx") or 30, color=colour, label=_label(trace))
 
 
-def _box(axes: Any, trace: Any, place: _Place) -> None:
+def _box(axes: Any, trace: Any, figure: Any) -> None:
     colour = _one(_of(trace, "marker.color")) or DEFAULT
-    at = place.categories.numbers([trace.get("name") or place.number], category=True)
     thin = {"color": colour, "linewidth": 0.9}
     axes.boxplot(
         [np.asarray(trace.get("y"), dtype=float)],
-        positions=at,
+        positions=_numbers(axes.xaxis, [str(trace.get("name"))]),
         widths=0.6,
         manage_ticks=False,
         boxprops=thin,
@@ -166,7 +145,7 @@ def _box(axes: Any, trace: Any, place: _Place) -> None:
     )
 
 
-DRAW: dict[str, Callable[[Any, Any, _Place], None]] = {
+DRAW: dict[str, Callable[[Any, Any, Any], None]] = {
     "scatter": _scatter,
     "bar": _bar,
     "heatmap": _heatmap,
@@ -175,7 +154,7 @@ DRAW: dict[str, Callable[[Any, Any, _Place], None]] = {
 }
 
 
-def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
+def _finish(axes: Any, layout: Any, most: int) -> None:
     """most: names in a row of the legend."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
@@ -184,11 +163,6 @@ def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
         axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
     for name, axis in (("x", layout.get("xaxis")), ("y", layout.get("yaxis"))):
         _axis(axes, name, axis)
-    if categories.upright:
-        axes.set_yticks(range(len(categories.names)), categories.names)
-    elif categories.names and _of(layout, "xaxis.type") != "linear":
-        turned = -float(_of(layout, "xaxis.tickangle") or 0)
-        axes.set_xticks(range(len(categories.names)), categories.names, rotation=turned, ha="right" if turned else "center")
     if _of(layout, "yaxis.scaleanchor"):
         axes.set_aspect("equal", adjustable="datalim")
     for shape in layout.get("shapes", ()):

@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.clock_term import clock_sentence
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
-from mbcacq.calibration.result_io import ONE_VIEW, caveats, effects_of, noise_of_a_view, of_flange_poses, state_from_dict
+from mbcacq.calibration.result_io import ONE_VIEW, axes_of, caveats, noise_of_a_view, of_flange_poses, state_from_dict
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
@@ -57,13 +57,8 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     found = {}
     result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
-        used = measured.calibrated_poses(observations, result)
         state = state_from_dict(dict(result), observations.cell)
-        rejected = {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
-        noise = result["noise"]
-        values, effects = {p["name"]: p["value"] for p in result["parameters"]}, effects_of(dict(result))
-        scatter = noise["scanner_mm"], noise["joint_rad"]
-        found["residuals"] = measured.residuals(used, state, *scatter, rejected, effects, values)
+        found["residuals"] = measured.residuals(observations, result, state)
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
     spacing = spacing_of(result)
@@ -304,15 +299,11 @@ def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
         out.append(("poses of the flange, along x, y, z of the base", listed([1e3 * v for v in carrier[:3]]) + " µm"))
         out.append(("poses of the flange, about x, y, z of the base", listed([1e6 * v for v in carrier[3:]]) + " µrad"))
     else:
-        slides = set(result["robot"].get("sliding", ()))
-        out.append(
-            (
-                "joint repeatability, A1 …" if not slides else "repeatability of the axes that turn",
-                listed([1e6 * v for i, v in enumerate(carrier) if i not in slides]) + " µrad",
-            )
-        )
-        if slides:
-            out.append(("repeatability of the axes that slide", listed([1e3 * carrier[i] for i in sorted(slides)]) + " µm"))
+        slides, axes = set(result["robot"].get("sliding", ())), axes_of(result)
+        for kind, unit, factor in (([i for i in range(len(axes)) if i not in slides], "µrad", 1e6), (sorted(slides), "µm", 1e3)):
+            if kind:
+                values = listed([factor * carrier[i] for i in kind])
+                out.append((f"joint repeatability, {', '.join(axes[i] for i in kind)}", f"{values} {unit}"))
     if noise.get("turn_rad") is not None:
         out.append(("orientation of the target", f"{fixed(1e6 * noise['turn_rad'], 1)} µrad"))
     if noise.get("check_factor"):

@@ -2,48 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from mbcacq.effects.effect_model import EffectModel
+from mbcacq.calibration.result_io import effects_of
 from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.estimation.terms import accumulate, known_errors
 from mbcacq.geometry import se3
 from mbcacq.geometry.link_shapes import arm_outline, link_radii
-from mbcacq.model.cell import TARGET_IN_BASE, RobotModel
+from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import in_degrees
 from mbcacq.report.content import Coverage, Residuals, Spheres
 
 
-def residuals(
-    observations: Observations,
-    state: CellState,
-    point_mm: ArrayLike | None,
-    joint_rad: ArrayLike | None,
-    rejected: Set[tuple[int, int | None]] = frozenset(),
-    effects: EffectModel | None = None,
-    values: Mapping[str, float] | None = None,
-) -> Residuals:
-    """Residuals of every centre; the expected sigma is that of scanner noise and joint repeatability together (marginal).
-
-    point_mm: (3,) sigma of a centre; joint_rad: (n,) repeatability of each axis. rejected: (pose number, ball id or None for all).
-    effects: what the arm does beyond its geometry. values: of parameters by their names, among them errors of the instrument.
+def residuals(observations: Observations, result: Mapping[str, Any], state: CellState) -> Residuals:
+    """Residuals of every centre at the stations that the result knows, with its effects and the errors of its instrument; the expected
+    sigma is that of scanner noise and joint repeatability together (marginal). state: the cell of the result, as the observations list it.
     """
-    obs = observations
+    obs, effects, noise = calibrated_poses(observations, result), effects_of(result), result["noise"]
     known = [*zip(effects.at(obs), effects.coefficients, strict=True)] if effects else []
-    known += known_errors(obs, values or {})
+    known += known_errors(obs, {p["name"]: p["value"] for p in result["parameters"]})
     prediction = predict(obs, state, accumulate(obs, *zip(*known, strict=True)) if known else None)
     deviation = residual(obs, prediction)[:, :3]
-    weighted = None
-    if point_mm is not None and joint_rad is not None:
-        J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
-        sigma = np.sqrt(np.asarray(point_mm)[: deviation.shape[1]] ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
-        weighted = _three(deviation / sigma)
-    robot = obs.cell.robot
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
+    repeated = np.sum((J * np.asarray(noise["joint_rad"])) ** 2, axis=2)
+    sigma = np.sqrt(np.asarray(noise["scanner_mm"])[: deviation.shape[1]] ** 2 + repeated)
+    robot, rejected = obs.cell.robot, {(r["pose"], r.get("ball")) for r in result.get("rejected", ())}
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
@@ -52,22 +38,12 @@ def residuals(
         ball=ball,
         phase=_phase(obs)[obs.pose],
         xyz=_three(deviation),
-        weighted=weighted,
+        weighted=_three(deviation / sigma),
         outlier=out,
         station=station,
-        q_deg=None if robot.of_flange_poses else positions(robot, obs.q)[obs.pose],
-        axes=axes_of(robot),
+        q_deg=None if robot.of_flange_poses else robot.drawn(obs.q)[obs.pose],
+        axes=robot.drawn_axes,
     )
-
-
-def positions(robot: RobotModel, q: np.ndarray) -> np.ndarray:
-    """Positions (.., n) as they are drawn: deg, and cm of an axis that slides, which then fits the scale of the angles."""
-    return np.where(robot.chain.prismatic, q / 10, in_degrees(q))
-
-
-def axes_of(robot: RobotModel) -> tuple[str, ...]:
-    """(n,) axes with the units of ``positions``."""
-    return tuple(f"{name} / {'cm' if slides else '°'}" for name, slides in zip(robot.axes, robot.chain.prismatic.tolist(), strict=True))
 
 
 def _three(rows: np.ndarray) -> np.ndarray:
@@ -82,9 +58,9 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres and not obs.cell.robot.of_flange_poses:  # one target is one place
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
     return Coverage(
-        q_deg=None if obs.cell.robot.of_flange_poses else positions(obs.cell.robot, obs.q),
-        limits_deg=positions(obs.cell.robot, obs.cell.robot.limits.T).T,
-        axes=axes_of(obs.cell.robot),
+        q_deg=None if obs.cell.robot.of_flange_poses else obs.cell.robot.drawn(obs.q),
+        limits_deg=obs.cell.robot.drawn(obs.cell.robot.limits.T).T,
+        axes=obs.cell.robot.drawn_axes,
         phase=_phase(obs),
         flange=T[:, :3, 3],
         balls=balls,
@@ -98,7 +74,7 @@ def _arm(obs: Observations, state: CellState) -> np.ndarray | None:
     """(3 n, 3) mm: the links in the pose in the middle of the run, to draw the arm by; None of poses of a flange."""
     if not obs.n_poses or obs.cell.robot.of_flange_poses:
         return None
-    return arm_outline(state.chain, obs.q[obs.n_poses // 2])
+    return arm_outline(state.chain, obs.q[obs.n_poses // 2], of_foot=True)
 
 
 def spheres(observations: Observations) -> Spheres | None:

@@ -25,11 +25,11 @@ class Ports(NamedTuple):
 class FakeGocatorOptions(LineSensorOptions):
     """A port of 0 is any free one. discovery: answer on udp ``discovery_port`` with replies sent to ``broadcast``.
 
-    scan_time_s: duration of an exposure. generation: 4, 5 or 6, the firmware whose message layouts are used. part_number: '' for the
-    one that belongs to the model. intensity, uniform: what the jobs switch on. clock: the world's time in s; with it
-    ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts from its start. volume: (low, high) (3,) mm of the measuring
-    volume, None for the extent of each frame. frame_rate_hz: 0 for jobs triggered by software, else they are triggered by time.
-    password: '' with security off, else what the administrator logs in with. The others: see LineSensorOptions.
+    scan_time_s: duration of an exposure. generation: 4, 5 or 6, the firmware whose message layouts are used. intensity, uniform: what the
+    jobs switch on. clock: the world's time in s; with it ``ScannerFrame.time_s`` becomes the stamp, without it the sensor counts from its
+    start. volume: (low, high) (3,) mm of the measuring volume, None for the extent of each frame. frame_rate_hz: 0 for jobs triggered by
+    software, else they are triggered by time. password: '' with security off, else what the administrator logs in with. The others: see
+    LineSensorOptions.
     """
 
     host: str = "127.0.0.1"
@@ -41,7 +41,6 @@ class FakeGocatorOptions(LineSensorOptions):
     broadcast: str = "255.255.255.255"
     model: str = "3210"
     serial: int = 12345
-    part_number: str = ""
     scan_time_s: float = 0.0
     jobs: tuple[str, ...] = ("bench.job", "other.job")
     generation: int = 6

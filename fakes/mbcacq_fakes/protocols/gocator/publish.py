@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 
 CLOSE, MUTE = object(), object()
 _DEPTH = 32
@@ -46,14 +47,10 @@ class Client:
 
     def close(self) -> None:
         self.gone = True
-        try:
+        with suppress(OSError):
             self.sock.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
-        try:
+        with suppress(queue.Full):
             self.queue.put_nowait(CLOSE)
-        except queue.Full:
-            pass
         self._thread.join(2.0)
         self.sock.close()
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import queue
-import socket
 import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from mbcacq_fakes.protocols.datagrams import facing
 from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator import encode
 from mbcacq_fakes.protocols.gocator.data_faults import apply_fault
@@ -64,11 +64,11 @@ class SensorState:
 
     @property
     def part_number(self) -> str:
-        return self.options.part_number or f"31{self.model}A-2-R-01-T"
+        return f"31{self.model}A-2-R-01-T"
 
     @property
     def address(self) -> str:
-        return self.options.host if self.options.host not in ("", "0.0.0.0") else outward_address()
+        return self.options.host if self.options.host not in ("", "0.0.0.0") else facing(("192.0.2.1", 9)) or "127.0.0.1"
 
     @property
     def uptime_s(self) -> float:
@@ -100,13 +100,3 @@ class SensorState:
         self.control.shut_down()
         self.data.close()
         self.health.close()
-
-
-def outward_address() -> str:
-    """The address other machines reach this one at; no packet is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-            return probe.getsockname()[0]
-        except OSError:
-            return "127.0.0.1"

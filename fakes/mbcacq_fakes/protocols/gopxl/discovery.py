@@ -24,7 +24,7 @@ class GoPxLDiscovery(datagrams.Responder):
     """Answers requests as a sensor at ``host`` does; on 0.0.0.0 as one at the address that the asker sees.
 
     It listens on all interfaces, since a socket bound to one address hears no broadcast; one at a loopback address answers this computer
-    only. The vendor's client hears its own ``reply_port`` (3320), by broadcast or not, and not the port that asked. Both therefore get the
+    only. The vendor's client hears its own port 3320, by broadcast or not, and not the port that asked. Both therefore get the
     answer, the first by broadcast, for several programs on one computer may have that port.
 
     Parameters
@@ -33,15 +33,13 @@ class GoPxLDiscovery(datagrams.Responder):
         Address of the sensor.
     port : int
         Where requests come in; 0 for any free one.
-    reply_port : int
-        Where clients listen.
     content : Callable[[str], dict[str, Any]]
         What is announced, for the address to announce.
     """
 
-    def __init__(self, host: str, port: int, reply_port: int, content: Callable[[str], dict[str, Any]]) -> None:
+    def __init__(self, host: str, port: int, content: Callable[[str], dict[str, Any]]) -> None:
         super().__init__("fake-gopxl-discovery", port, 64)
-        self._host, self._content, self._reply_port = socket.gethostbyname(host), content, reply_port
+        self._host, self._content = socket.gethostbyname(host), content
 
     def respond(self, data: bytes, asker: tuple[str, int], interface: int) -> None:
         if len(data) != 24 or struct.unpack("<QQQ", data) != (24, 1, SIGNATURE):
@@ -52,8 +50,8 @@ class GoPxLDiscovery(datagrams.Responder):
         address = datagrams.facing(asker) if IPv4Address(self._host).is_unspecified else self._host
         data = announcement(self._content(address))
         everybody = "127.255.255.255" if IPv4Address(asker[0]).is_loopback else "255.255.255.255"
-        datagrams.send(self._sock, data, (everybody, self._reply_port), interface)
+        datagrams.send(self._sock, data, (everybody, PORT), interface)
         if not own:
-            datagrams.send(self._sock, data, (asker[0], self._reply_port))
-        if asker[1] != self._reply_port:
+            datagrams.send(self._sock, data, (asker[0], PORT))
+        if asker[1] != PORT:
             datagrams.send(self._sock, data, asker)

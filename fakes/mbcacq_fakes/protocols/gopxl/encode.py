@@ -31,7 +31,7 @@ def stamp(index: int, time_s: float) -> bytes:
     return struct.pack("<HQQqqQQQ", 58, index, round(time_s * 1.024e9), 0, 0, 0, whole, nanoseconds)
 
 
-def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: float, new_form: bool, volume=None) -> bytes:
+def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: float, volume=None) -> bytes:
     """Body of a surface. The world's frame is right-handed, the sensor's is not: its x runs the other way."""
     mirrored = frame.xyz * np.array([-1, 1, 1], np.float32)
     grey = frame.intensity
@@ -46,10 +46,10 @@ def surface(frame: ScannerFrame, uniform: bool, intensity: bool, exposure_us: fl
         quantise(mirrored, scaling, raw)
     rows, columns = frame.xyz.shape[0], frame.xyz.shape[1]
     sends_grey = intensity and grey is not None
-    size = 74 + (not uniform) + 4 * new_form
+    size = 78 + (not uniform)
     section = struct.pack("<HIIII", size, rows, columns, rows * sends_grey, columns * sends_grey)
     section += struct.pack("<3d3dIf", *scaling.scale, *scaling.offset, 1, exposure_us * 1e3)
-    section += (b"" if uniform else b"\0") + (struct.pack("<i", 1) if new_form else b"")
+    section += (b"" if uniform else b"\0") + struct.pack("<i", 1)
     return section + np.ascontiguousarray(raw, "<i2").tobytes() + (np.ascontiguousarray(grey).tobytes() if sends_grey else b"")
 
 
@@ -80,7 +80,6 @@ def middle_of_profile(frame: ScannerFrame) -> float:
     return float(np.nanmin(x) + np.nanmax(x)) / 2 if np.any(np.isfinite(x)) else float("nan")
 
 
-def measurement(value: float, new_form: bool) -> bytes:
+def measurement(value: float) -> bytes:
     valid = bool(np.isfinite(value))
-    body = struct.pack("<dB", value if valid else -1.7976931348623157e308, 1 if valid else 2)
-    return body + (struct.pack("<3d", 0, 0, 0) if new_form else b"")
+    return struct.pack("<dB3d", value if valid else -1.7976931348623157e308, 1 if valid else 2, 0, 0, 0)

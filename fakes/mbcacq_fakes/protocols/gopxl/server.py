@@ -17,7 +17,6 @@ from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator.data_faults import spoiled
 from mbcacq_fakes.protocols.gocator.publish import Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
-from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
@@ -43,9 +42,7 @@ class FakeGoPxLOptions(LineSensorOptions):
     """Where the sensor listens (0: any free port), and what it is.
 
     scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
-    new_form: messages as release 1.5 writes them, with a pixel format and label positions. stamps: whether it offers stamps.
-    discovery_port: udp, usually 3320; None for no discovery. discovery_reply_port: where clients listen for the answer. The others: see
-    LineSensorOptions.
+    stamps: whether it offers stamps. discovery_port: udp, usually 3320; None for no discovery. The others: see LineSensorOptions.
     """
 
     host: str = "127.0.0.1"
@@ -57,9 +54,7 @@ class FakeGoPxLOptions(LineSensorOptions):
     scan_time_s: float = 0.0
     jobs: tuple[str, ...] = ("bench", "other")
     volume: tuple[np.ndarray, np.ndarray] | None = None
-    new_form: bool = True
     discovery_port: int | None = None
-    discovery_reply_port: int = DISCOVERY_PORT
 
 
 class FakeGoPxL(SensorServer):
@@ -92,7 +87,7 @@ class FakeGoPxL(SensorServer):
         s = self.options
         self.ports = GoPxLPorts(*self.listen(((s.control_port, self._accept_control), (s.data_port, self.data.add))))
         self.resources.gdp_port = self.ports.data
-        return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, s.discovery_reply_port, self._announced)
+        return None if s.discovery_port is None else GoPxLDiscovery(s.host, s.discovery_port, self._announced)
 
     def work(self) -> dict[str, Callable[[], None]]:
         threads: dict[str, Callable[[], None]] = {"fake-gopxl": self._run}
@@ -215,18 +210,18 @@ class FakeGoPxL(SensorServer):
             if source == resources.LASER_PROFILE:
                 parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
             elif source == resources.LASER_SURFACE:
-                body = encode.surface(frame, True, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
+                body = encode.surface(frame, True, modes["intensityEnabled"], self.resources.exposure_us, s.volume)
                 parts.append((encode.UNIFORM_SURFACE, source, number, body))
             elif source == resources.TOOL:
-                middle = encode.measurement(encode.middle_of_profile(frame), s.new_form)
+                middle = encode.measurement(encode.middle_of_profile(frame))
                 parts.append((encode.MEASUREMENT, source, number, middle))
             elif source in STAMPS:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):
-                body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
+                body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.volume)
                 parts.append((encode.UNIFORM_SURFACE if uniform else encode.SURFACE_POINTS, source, number, body))
         for number, value in frame.measurements.items():
-            parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value, s.new_form)))
+            parts.append((encode.MEASUREMENT, f"tools:Height-{number}:outputs:Z", 100 + number, encode.measurement(value)))
         return _packed(parts, self._made)
 
     def _outputs(self) -> list[tuple[str, int]]:

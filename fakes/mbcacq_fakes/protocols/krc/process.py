@@ -11,6 +11,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from math import radians
 from typing import Any
 
@@ -207,10 +208,8 @@ class RsiController(KukaController):
 
     def _send(self, telegram: bytes) -> None:
         sender = self._foreign if self._counted("foreign") else self._socket
-        try:
+        with suppress(OSError):  # nobody listens yet
             sender.sendto(telegram, self._client)
-        except OSError:
-            pass  # nobody listens yet
 
     # sessions and faults
 
@@ -279,10 +278,8 @@ class RsiController(KukaController):
         gc.freeze()
         gc.disable()
         if self._settings.realtime:
-            try:
+            with suppress(AttributeError, OSError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
-            except (AttributeError, OSError):
-                pass
         while not gone.is_set():
             self.cycle()
 

@@ -86,15 +86,18 @@ class Interpreter:
         return kind == "idle"
 
     def _advance(self, now: float) -> None:
+        try:
+            self._go_on(next, now)
+        except Resume:
+            self._resume(now)
+
+    def _go_on(self, step: Callable[[Generator[Any, Any, Any]], tuple[str, Any]], now: float) -> None:
         running, _ = self._stack[-1]
         try:
-            request, value = next(running)
+            request, value = step(running)
         except StopIteration:
             self._stack.pop()
             self.halted = not self._stack
-            return
-        except Resume:
-            self._resume(now)
             return
         self._take(running, request, value, now)
 
@@ -105,16 +108,10 @@ class Interpreter:
             raise KrlError("RESUME outside of an interrupt")
         if self._motion is not None:
             self._motion.abandon()
-        running, _ = self._stack[-1]
         try:
-            request, value = running.throw(Resume())
-        except StopIteration:
-            self._stack.pop()
-            self.halted = not self._stack
-            return
+            self._go_on(lambda running: running.throw(Resume()), now)
         except Resume as error:
             raise KrlError("RESUME needs a program below the one that declared the interrupt") from error
-        self._take(running, request, value, now)
 
     def _take(self, running: Generator[Any, Any, Any], request: str, value: Any, now: float) -> None:
         if request == "wait":
