@@ -11,11 +11,11 @@ import pytest
 from dry_runs import plan_file, recorded, ur10
 from mbcacq_fakes.protocols.rtde import FakeUrController
 from mbcacq_fakes.protocols.rtde.controller import WATCHDOG_S, start_in_cell
-from mbcacq_fakes.protocols.rtde.uploaded import Dashboard, ScriptPort
 from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_ur import wire
 from mbcacq_ur.driver import UrRtdeRobot
 from scipy.spatial.transform import Rotation
+from uploaded_program import LineArm, ProgrammableUr
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MotionLimits, ProtocolError, SafetyStop
 
@@ -229,10 +229,8 @@ def test_a_client_by_others_switches_outputs_and_the_slider_while_another_one_li
 
 
 def test_a_client_by_others_uploads_its_program_and_moves_the_arm(said_by, caplog):
-    host = "127.0.0.77"
-    with FakeUrController(start_deg=HOME_DEG, host=host, port=30004, realtime=True, runtime_state=1) as fake:
-        with Dashboard(fake.playing, fake.end_program, host), ScriptPort(fake.run_uploaded, host):
-            stopped_at, moved_again = said_by(CONTROLS)
+    with ProgrammableUr("127.0.0.77", HOME_DEG) as fake:
+        stopped_at, moved_again = said_by(CONTROLS)
         assert 0.2 < stopped_at < 2.9
         assert not moved_again
         assert fake.values()["payload"] == 1.5
@@ -240,19 +238,20 @@ def test_a_client_by_others_uploads_its_program_and_moves_the_arm(said_by, caplo
     assert "the fake does nothing for command 11 (servo, speed and force are not played)" in caplog.text
 
 
-def test_a_line_is_straight_and_driven_at_its_speed(controller):
-    begin = np.array(controller.tcp_pose())
+def test_a_line_is_straight_and_driven_at_its_speed():
+    arm = LineArm(HOME_DEG)
+    begin = np.array(arm.flange_pose(arm.q))
     end = begin + [0.1, 0.05, -0.08, 0, 0, 0]
-    controller.arm.go_along(*controller.arm.line(end), 0.25, 1.0)
+    arm.go_along(*arm.line(end), 0.25, 1.0)
     places = []
-    while controller.arm.moving:
-        controller.advance(0.002)
-        places.append(controller.tcp_pose()[:3])
+    while arm.moving:
+        arm.advance(0.002)
+        places.append(arm.flange_pose(arm.q)[:3])
     way = (end - begin)[:3] / np.linalg.norm((end - begin)[:3])
     along = (places - begin[:3]) @ way
     assert np.abs(places - begin[:3] - along[:, None] * way).max() < 1e-5
     assert np.diff(along).max() / 0.002 == pytest.approx(0.25, rel=1e-3)
-    np.testing.assert_allclose(controller.tcp_pose()[:3], end[:3], atol=1e-6)
+    np.testing.assert_allclose(places[-1], end[:3], atol=1e-6)
 
 
 @pytest.fixture

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mbcacq_fakes.dynamics.ideal_arm import Kinematics
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
-from mbcacq_fakes.protocols.rtde.uploaded import UploadedProgram
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
 from mbcacq_fakes.protocols.stall import HANGING_S, STALL_S
 from mbcacq_fakes.protocols.tcp_server import TcpServer
@@ -70,14 +70,14 @@ class FakeUrController(TcpServer):
         self.inputs: dict[str, Any] = {}  # what clients wrote, last
         self.lock = threading.Lock()  # of the arm and what is said of it
         self._conversations: list[_Conversation] = []
+        self._kinematics = Kinematics(dh)
         self.inject(**faults)
-        self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S, dh), realtime, state
+        self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime, state
         self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
         super().__init__(host, port, one=False)
         self._led: np.ndarray | None = None
         self.outputs = 0  # bits of the standard digital outputs
         self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
-        self._uploaded: UploadedProgram | None = None
         self.led = False  # somebody moves it: a client that only listens need not be served by the clock
 
     def lead(self, target: np.ndarray) -> None:
@@ -106,11 +106,6 @@ class FakeUrController(TcpServer):
     def halt(self) -> None:
         with self.lock:
             self.arm.halt()
-
-    def not_heard_for(self, seconds: float) -> None:
-        """The client that commands is silent; mbcacq_ur.script has a watchdog, the program of ur_rtde none."""
-        if seconds > self.watchdog_s and self._uploaded is None:
-            self.halt()
 
     @property
     def closing(self) -> bool:
@@ -142,9 +137,6 @@ class FakeUrController(TcpServer):
         """A client wrote these inputs."""
         self.inputs |= written
         registers = self.inputs
-        if self._uploaded is not None and "input_int_register_0" in written:
-            self._uploaded.obey(registers)
-            return
         if written.get("speed_slider_mask"):
             self._active["speed_fraction"] = float(np.clip(registers.get("speed_slider_fraction", 1.0), 0.0, 1.0))
         mask = registers.get("standard_digital_output_mask", 0)
@@ -162,29 +154,17 @@ class FakeUrController(TcpServer):
         if self.on_output is not None:
             self.on_output(number, value)
 
-    def playing(self) -> bool:
-        return self._active["runtime_state"] == 2
-
-    def run_uploaded(self) -> None:
-        """The program of ur_rtde's control interface begins."""
-        with self.lock:
-            self._uploaded = UploadedProgram(self.arm, self.end_program, lambda kg: self.inject(payload=kg))
-            self.inject(runtime_state=2, program=0)
-
-    def end_program(self) -> None:
-        """Whichever runs; the arm halts."""
-        self._uploaded = None
-        self.inject(runtime_state=1)
-
     def tcp_pose(self) -> list[float]:
-        """Pose at the flange, as the TCP is not set."""
-        return self.arm.flange_pose(self.arm.q)
+        """x, y, z (m) and rotation vector (rad) of the flange, as the TCP is not set."""
+        x, y, z, *abc = self._kinematics.pose(np.degrees(self.arm.q).tolist())
+        return [1e-3 * x, 1e-3 * y, 1e-3 * z, *Rotation.from_euler("ZYX", abc, degrees=True).as_rotvec().tolist()]
 
     def tcp_speed(self) -> list[float]:
         """Its derivative (m/s, rad/s), by differences over a microsecond of this motion."""
-        now, later = (np.array(self.arm.flange_pose(self.arm.q + dt * self.arm.qd)) for dt in (0.0, 1e-6))
-        turned = Rotation.from_rotvec(later[3:]) * Rotation.from_rotvec(now[3:]).inv()
-        return [*(1e6 * (later[:3] - now[:3])).tolist(), *(1e6 * turned.as_rotvec()).tolist()]
+        later = self._kinematics.pose(np.degrees(self.arm.q + 1e-6 * self.arm.qd).tolist())
+        now = self._kinematics.pose(np.degrees(self.arm.q).tolist())
+        turned = Rotation.from_euler("ZYX", later[3:], degrees=True) * Rotation.from_euler("ZYX", now[3:], degrees=True).inv()
+        return [*(1e3 * (np.array(later[:3]) - now[:3])).tolist(), *(1e6 * turned.as_rotvec()).tolist()]
 
     def values(self) -> dict[str, Any]:
         """What it says of itself; all else is zero."""
@@ -213,7 +193,7 @@ class FakeUrController(TcpServer):
             "safety_mode": 1 if a["safety_bits"] & 1 else 3,
             "safety_status": 1 if a["safety_bits"] & 1 else 3,
             "safety_status_bits": a["safety_bits"],
-            "robot_status_bits": 1 | self.playing() << 1,
+            "robot_status_bits": 3,
             "runtime_state": a["runtime_state"],
             "speed_scaling": arm.scale,
             "target_speed_fraction": a["speed_fraction"],
@@ -224,7 +204,6 @@ class FakeUrController(TcpServer):
             "output_int_register_0": arm.taken,
             "output_int_register_1": int(arm.moving),
             "output_int_register_2": a["program"] if a["runtime_state"] == 2 else 0,
-            **({} if self._uploaded is None else self._uploaded.registers()),
         }
 
 
@@ -265,8 +244,8 @@ class _Conversation:
             except TimeoutError:
                 # A computer that stood still held the client as well: the wait counts, not the clock.
                 self._silent_s += wait_s
-                if self.commands:
-                    self._controller.not_heard_for(self._silent_s)
+                if self.commands and self._silent_s > self._controller.watchdog_s:
+                    self._controller.halt()
                 continue
             if not data:
                 return
