@@ -115,9 +115,9 @@ def beyond_expected_sentence(spacing: Spacing | None) -> str:
         for i in at[:5]
     )
     more = f" and {len(at) - 5} more" if len(at) > 5 else ""
-    chance = float(binom.sf(len(at) - 1, len(spacing.place), BEYOND_K))
+    as_many = float(binom.sf(len(at) - 1, len(spacing.place), BEYOND_K))
     lacking = "The model lacks something, or the noise is larger than it was taken to be"
-    why = f"Chance alone leaves as many in about {chance:.0%} of calibrations" if chance > RARE else lacking
+    why = f"Chance alone leaves as many in about {as_many:.0%} of calibrations" if as_many > RARE else lacking
     return (
         f"At {len(at)} of {len(spacing.place)} places the error is beyond the expanded uncertainty that the calibration expects there: "
         f"{listed}{more}. {why}."
