@@ -19,7 +19,6 @@ from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.estimation import terms
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linear_problem import ExtendedProblem
-from mbcacq.estimation.normal_equations import Prior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import HAND_EYE
 from mbcacq.estimation.pose_information import WeightedRows
@@ -37,11 +36,11 @@ NOTABLE = 0.05  # probability of a change
 NEGLIGIBLE = 1e-4  # part of the probability of all changes, below which a moment is left out of the average
 REJECTED_OF_BALL = 0.1  # share of a ball's centres: no noise rejects so many, so they are looked at again
 LEAST_SIDE = 3  # poses on either side of a moment
-IN_A_ROW = 2  # rejected poses from which on they are no gross errors, each by itself
 MOST_POSES = 4000  # whose columns fit into memory
 SAME_MOMENT = 3.0  # of the log Bayes factor: moments that are this near are said as a range
 OTHER_KIND = 3.0  # of the same: kinds that are this near are said too
 TURNS = 3  # of noise and best step
+WARMING = (1.0, 0.3, 0.1)  # of the duration of a recording, time constants with which a drift settles; the first is nearly a straight line
 
 
 @dataclass(frozen=True)
@@ -105,18 +104,20 @@ def evidence_of_change(fitted: Adjustment) -> ChangeEvidence:
             if (look.kind, look.moment) == (last.kind, last.moment):
                 break
         log_e = look.log_e + _log_posterior(at, noise) - before
-    found = _described(look, kinds, log_e) if log_e > -np.log(FALSE_ALARMS) else None
+    found = _described(look, kinds, log_e) if log_e > -np.log(FALSE_ALARMS) and not _is_drift(look, kinds) else None
     return ChangeEvidence(log_e, found, _second_moment(look, kinds))
 
 
 def _with_rejected_again(at: Solution) -> Solution:
     """With the centres of balls of which many are rejected, and with poses that are rejected one after the other: a ball that moved by much
-    is rejected from then on, and after a large accident so is what is left of the recording."""
+    is rejected from then on, and after a large accident so is what is left of the recording, be it two poses. Two poses after which all is
+    as before are gross errors, each by itself: they do not make a step."""
     obs, weights = at.lineariser.obs, at.weights
     count, n = (np.bincount(obs.ball, w, minlength=len(obs.cell.ball_ids)) for w in (weights.centre == 0, None))
     often = (count > REJECTED_OF_BALL * n) & (n - count >= LEAST_SIDE)
     in_a_row = np.zeros(obs.n_poses, bool)
-    in_a_row[obs.measuring_order] = binary_opening(weights.pose[obs.measuring_order] == 0, np.ones(IN_A_ROW))
+    rejected = np.pad(weights.pose[obs.measuring_order] == 0, 1, constant_values=True)
+    in_a_row[obs.measuring_order] = binary_opening(rejected, np.ones(LEAST_SIDE))[1:-1]
     if not (often.any() or in_a_row.any()):
         return at
     centre, pose = np.where(often[obs.ball], 1.0, weights.centre), np.where(in_a_row, 1.0, weights.pose)
@@ -154,10 +155,8 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
         yield KindOfChange("station", obs.cell.stations[s].id, twist, units, at_s, among, 0.25 / len(obs.cell.stations))
     if at.lineariser.rows.depth > 3:
         ball, count = unit("ball", 0, 3), len(obs.cell.ball_ids)
-        for k in range(count):
-            yield KindOfChange(
-                "ball", str(obs.cell.ball_ids[k]), names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count
-            )
+        for k, name in enumerate(map(str, obs.cell.ball_ids)):
+            yield KindOfChange("ball", name, names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count)
 
 
 @dataclass(frozen=True)
@@ -184,6 +183,16 @@ def _look(at: Solution, kinds: list[KindOfChange]) -> _Look:
     return _Look(test, steps, log_bf, k, int(np.argmax(log_bf[k])), float(np.logaddexp.reduce(np.concatenate(log_bf))))
 
 
+def _is_drift(look: _Look, kinds: list[KindOfChange]) -> bool:
+    """Whether what looks like a step is more probable as a drift of the same kind, which settles in the course of the recording."""
+    kind, obs = kinds[look.kind], look.test.solution.lineariser.obs
+    clock = np.argsort(obs.measuring_order).astype(float) if obs.time_s is None else obs.time_s - obs.time_s.min()
+    drifts = [1 - np.exp(-clock / (tau * clock.max())) for tau in WARMING]
+    log_bf = [look.test.of(kind.columns * drift[obs.pose][:, None, None]).log_bayes_factor[0] for drift in drifts]
+    drifting = np.logaddexp.reduce(log_bf) - np.log(len(WARMING)) + np.log(kind.weight)
+    return bool(drifting > np.logaddexp.reduce(look.log_bf[look.kind]))
+
+
 def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -> Noise:
     """Most probable noise of the problem with a step of free size."""
     obs, rows = at.lineariser.obs, at.lineariser.rows
@@ -191,12 +200,8 @@ def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -
     after[obs.measuring_order[moment:]] = True
     step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
     columns, k = at.columns.with_parameters(step), step.shape[2]
-    prior = Prior(
-        np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)]),
-        np.concatenate([at.prior.offset, np.zeros(k)]),
-        at.prior.station_information,
-        at.prior.station_offset,
-    )
+    sigma = np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)])
+    prior = replace(at.prior, sigma=sigma, offset=np.concatenate([at.prior.offset, np.zeros(k)]))
     problem = ExtendedProblem(columns, WeightedRows(rows, columns, at.weights.centre, at.weights.pose), prior)
     return restricted_maximum_likelihood(lambda noise: problem.at(noise).after_fit(), start, at.lineariser.noise_prior)
 

@@ -10,6 +10,8 @@ from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import AsJson
 from mbcacq.quantities import in_degrees
 
+UNDETERMINED = 1e6  # mm, rad or ppm, standard deviation of a component that poses say nothing of: a bar's rotation about itself
+
 
 @dataclass(frozen=True)
 class ChangeFound(AsJson):
@@ -63,7 +65,8 @@ class ChangeFound(AsJson):
         what, to_do = in_words(self.kind, self.where)
         at = f"pose {self.nth} of {self.poses} in the order of measuring, at station {self.station}"
         when = "" if self.seconds is None else f", {self.seconds:.0f} s after the first"
-        sizes = [f"{n} {v:+.4f} ± {2 * s:.4f} {u}" for n, v, s, u in zip(self.components, *_shown(self), strict=True)]
+        stated = zip(self.components, *_shown(self), self.std, strict=True)
+        sizes = [f"{n} {v:+.4f} ± {2 * s:.4f} {u}" if std < UNDETERMINED else f"{n} not determined" for n, v, s, u, std in stated]
         other = f" ({' or '.join(in_words(*one.split(':'))[0] for one in self.or_else)} explains it as well)" if self.or_else else ""
         happened = f"{what} between pose {self.before} and pose {self.after}{other}; {to_do}"
         return f"{happened}. First after it: {at}{when}. Size (k = 2): {', '.join(sizes)}"

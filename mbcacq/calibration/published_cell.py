@@ -141,13 +141,13 @@ def with_nominal_arm(result: CalibratedCell) -> CalibratedCell:
 
 
 def with_estimates(model: EffectModel, fitted: CalibratedCell) -> EffectModel:
-    """The model with the coefficients of a calibration that has its terms."""
+    """The model with the coefficients of a calibration; terms that this does not have stay."""
     std = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     free = {name: float(std[j]) for j, name in enumerate(fitted.names)}
     found = fitted.fit.coefficients
     blocks = fitted.layout.blocks[len(fitted.layout.blocks) - len(found) :]
     value = {name: float(v) for b, c in zip(blocks, found, strict=True) for name, v in zip(b.names, c, strict=True)}
-    coefficients = [np.array([value[name] for name in t.names]) for t in model.terms]
+    coefficients = [np.array([value.get(name, c) for name, c in zip(t.names, t.coefficients, strict=True)]) for t in model.terms]
     return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 

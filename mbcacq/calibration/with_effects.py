@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.cell_estimate import square_root
 from mbcacq.calibration.published_cell import with_estimates
+from mbcacq.calibration.return_to_geometry import returning_to_geometry
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import JOINTS
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
+from mbcacq.effects.effect_term import BEYOND, UNKNOWN, EffectTerm
 from mbcacq.effects.learnt_range import own_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
@@ -69,7 +71,8 @@ def refitted_effects(observations: Observations, options: CalibrationOptions, mo
     """The effects of the cell that ``refitted`` returns, in less time: the geometry alone is not fitted for comparison."""
     obs = _learnt_from(observations, options, model, hold=False)
     with one_thread():
-        return _fitted(obs, options, model, hold=False, fit=fit).effects
+        found = _fitted(obs, options, model, hold=False, fit=fit).effects
+    return found and found.select(lambda t: t.variant != BEYOND)
 
 
 def _learnt_from(observations: Observations, options: CalibrationOptions, model: EffectModel, hold: bool) -> Observations:
@@ -94,7 +97,7 @@ def _fitted(obs: Observations, options: CalibrationOptions, model: EffectModel, 
     beside them."""
     options = replace(options, discrepancy=False)
     held = model if hold else model.select(lambda t: t.held)
-    free = model.select(lambda t: not (hold or t.held)).learnt_at(obs)
+    free = model.select(lambda t: not (hold or t.held or t.variant == BEYOND)).learnt_at(obs)
     options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
     fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
     return replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ()))))
@@ -216,9 +219,11 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
         solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
     result = with_uncertain_sizes(adjusted_cell(chosen, adjusted), stage)
-    groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
-    model = replace(parametric, terms=(*parametric.terms, *groups))
-    return replace(result, effects=with_estimates(model, result))
+    sized = (replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
+    model = replace(parametric, terms=(*parametric.terms, *sized))
+    found = replace(result, effects=with_estimates(model, result))
+    long = stage.fitted.fit.used_poses >= groups.OPTIONS.many_poses  # slow orders, which trade with geometry, have small sizes there
+    return found if long else returning_to_geometry(found, fitted, with_estimates(parametric, fitted))
 
 
 def with_uncertain_sizes(cell: CalibratedCell, stage: _Stage) -> CalibratedCell:
@@ -284,16 +289,7 @@ class _Stage:
             options = replace(options, displaced=tuple((t.at_poses(poses, obs.pose), c) for t, c in options.displaced))
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *further, *unmodelled.at(obs))
-        return cls(
-            fitted=fitted,
-            options=options,
-            observations=obs,
-            weights=weights,
-            built=built,
-            groups=groups,
-            scale=np.ones(len(groups)),
-            estimate=start,
-        )
+        return cls(fitted, options, obs, weights, built, groups, scale=np.ones(len(groups)), estimate=start)
 
     def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
         """The same sizes and estimate by all poses."""
@@ -350,14 +346,9 @@ class _Stage:
         step = solved - np.r_[np.zeros(first), at.prior.offset[own]]
         moved = self.estimate.moved(layout, step, normal.station_step(step), self.lineariser.rows.stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
-        kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
-        return replace(
-            self,
-            built=tuple(t for t, keep in zip(self.built, alive, strict=True) if keep),
-            groups=tuple(g for g, keep in zip(self.groups, scale > 0, strict=True) if keep),
-            scale=scale[scale > 0],
-            estimate=kept,
-        )
+        kept = Estimate(moved.state, tuple(compress(moved.coefficients, alive)))
+        built, left = tuple(compress(self.built, alive)), tuple(compress(self.groups, scale > 0))
+        return replace(self, built=built, groups=left, scale=scale[scale > 0], estimate=kept)
 
 
 def group_scales(S: np.ndarray, b: np.ndarray, several: Sequence[EffectTerm], start: np.ndarray, smallest: float) -> np.ndarray:

@@ -23,6 +23,7 @@ UNKNOWN = "unknown"
 SMOOTH = "smooth"  # variant of those groups of a calibration's discrepancy that go on where the recording was not
 GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
 LAW_DEVIATION = 0.3  # share by which a gear's stiffness differs between small and large torques (K1, K2, K3 of data sheets)
+BEYOND = "beyond"  # variant of the change to a cell without some unmodelled functions, which holds beyond their ranges
 COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
 
 
@@ -126,22 +127,11 @@ class EffectTerm(EveryKey):
         **fields: Any,
     ) -> EffectTerm:
         """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
-        label, nothing = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.zeros(len(sigma))
-        return cls(
-            name=UNKNOWN,
-            where=where,
-            depends_on=depends_on,
-            parts=tuple(parts),
-            names=tuple(f"{label}[{j}]" for j in range(len(sigma))),
-            units=units,
-            coefficients=nothing,
-            std=nothing,
-            sigma=np.asarray(sigma, dtype=float),
-            typical=np.asarray(sigma, dtype=float),
-            variant=variant,
-            ranges=learnt_ranges(here, parts),
-            **fields,
-        )
+        label, sizes = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.asarray(sigma, dtype=float)
+        names, nothing = tuple(f"{label}[{j}]" for j in range(len(sizes))), np.zeros(len(sizes))
+        fields |= {"where": where, "depends_on": depends_on, "parts": tuple(parts), "variant": variant, "units": units}
+        fields |= {"ranges": learnt_ranges(here, parts), "sigma": sizes, "typical": sizes}
+        return cls(name=UNKNOWN, names=names, coefficients=nothing, std=nothing, **fields)
 
     @property
     def k(self) -> int:
@@ -175,7 +165,10 @@ class EffectTerm(EveryKey):
     def parts_at(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
         """Its parts at the poses and centres of a recording."""
         parts = self._going_on(here, learnt)
-        return [_times(p, self._within(here, own)) for p, own in zip(parts, self.parts, strict=True)] if self.fades else parts
+        if not self.fades:
+            return parts
+        share = [self._within(here, own) for own in self.parts]
+        return [_times(p, 1 - w if self.variant == BEYOND else w) for p, w in zip(parts, share, strict=True)]
 
     def _going_on(self, here: Covariates, learnt: LearntRecording, held: Sequence[str] | None = None) -> list[Part]:
         """The parts without fading, with these covariates held in their learnt range; by default those that are ``clamped``."""
@@ -201,7 +194,8 @@ class EffectTerm(EveryKey):
         obs = here.obs
         per_pose = part.place in PER_POSE
         out = np.ones(obs.n_poses if per_pose else obs.n_centres)
-        for name in sorted((part.covariates & set(self.ranges)) - set(self.clamped)):
+        ending = self.depends_on.split("*") if self.variant == BEYOND else (part.covariates & set(self.ranges)) - set(self.clamped)
+        for name in sorted(ending):
             if name in self.missing(here):
                 continue
             own = self.ranges[name].within(name, here.value(name))
@@ -221,6 +215,8 @@ class EffectTerm(EveryKey):
         """What an effect that ``ends`` may be beyond the range in which it was learnt, beside what is predicted there: as its functions go
         on, with the size that it was found with, and of a law a share of that.
         """
+        if self.variant == BEYOND:
+            return replace(self.term(here, learnt), name=f"{self.key}:beyond", names=tuple(f"beyond {name}" for name in self.names))
         held, parts = self._going_on(here, learnt, (*self.clamped, *self.laws)), list[Part]()
         free = self._going_on(here, learnt, ()) if self.clamped or self.laws else held
         for at_end, on, own in zip(held, free, self.parts, strict=True):

@@ -94,6 +94,20 @@ def test_an_accident_so_large_that_the_poses_after_it_are_rejected_is_named(firs
     assert "scale of the scanner's coordinates changed between pose" in calibrate(obs, HAND_EYE_ALONE).to_dict()["warnings"][0]
 
 
+@pytest.mark.parametrize("settling", [0.15, 2.0])
+def test_a_scanner_that_warms_up_did_not_slip(settling):
+    """Without a drift beside the step both recordings name the mount."""
+    cell = cell_of(20)
+    warm = 1 - np.exp(-cell.observations.pose / (settling * cell.observations.n_poses))
+    assert change_in(replace(cell.observations, xyz=cell.observations.xyz + warm[:, None] * np.array([0.03, -0.02, 0.04]))) is None
+
+
+def test_two_gross_poses_at_the_start_of_a_station_are_no_step():
+    cell = cell_of(6)
+    gross = np.isin(cell.observations.pose, [24, 25])
+    assert change_in(replace(cell.observations, xyz=cell.observations.xyz + 1.5 * gross[:, None])) is None
+
+
 def test_an_encoder_that_jumped_is_named_by_its_axis():
     cell = cell_of(5)
     errors = np.zeros((6, 5))

@@ -1,0 +1,84 @@
+"""Beyond where an unmodelled function of an angle was learnt, a cell is what the recording gives without the function.
+
+Function and geometry share what a recording shows: an arm that was fitted beside a function is wrong without it. So such functions are kept
+with a term that grows beyond their ranges: the change to the cell that was fitted without them (benchmarks/third.md). The functions' own
+covariance goes on, and the change counts as an uncertainty: both together are the expected square of the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import BEYOND, UNKNOWN, EffectTerm, key_of
+from mbcacq.effects.functions import Column, DescribedPart, Product
+from mbcacq.effects.learnt_range import is_angle
+from mbcacq.geometry import se3
+
+Place = tuple[str, int, int]
+
+
+def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: EffectModel) -> CalibratedCell:
+    """The same cell where its unmodelled functions of one angle were learnt; beyond, the one without them.
+
+    named: the effects of the latter.
+    """
+    model = cell.effects
+    ending = [t for t in model.terms if t.name == UNKNOWN and len(t.covariates) == 1 and is_angle(*t.covariates)] if model else []
+    if model is None or not ending:
+        return cell
+    columns = dict[Place, Column]()
+    for place, product in _changes(cell, without, named, ending):
+        columns[place] = (*columns.get(place, ()), product)
+    where = tuple(dict.fromkeys(at for t in ending for at in t.where))
+    angles = "*".join(sorted({name for t in ending for name in t.covariates}))
+    change = EffectTerm(
+        name=UNKNOWN,
+        where=where,
+        depends_on=angles,
+        variant=BEYOND,
+        parts=tuple(DescribedPart(*place, (column,)) for place, column in columns.items()),
+        names=(key_of(UNKNOWN, where, angles, BEYOND, {}),),
+        units=("",),
+        coefficients=np.ones(1),
+        std=np.zeros(1),
+        sigma=np.ones(1),
+        typical=np.ones(1),
+        ranges={name: known for t in (*named.terms, *ending) for name, known in t.ranges.items()},
+        clamped=tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped})),
+    )
+    return replace(cell, effects=replace(model, terms=(*model.terms, change)))
+
+
+def _changes(
+    cell: CalibratedCell, without: CalibratedCell, named: EffectModel, ending: Sequence[EffectTerm]
+) -> Iterator[tuple[Place, Product]]:
+    """What moves from one cell to the other: effects, and the frames of the arm."""
+    now = {t.key: t.coefficients for t in cell.effects.terms} if cell.effects else {}
+    changed = [(t, t.coefficients - now[t.key]) for t in named.terms] + [(t, -t.coefficients) for t in ending]
+    for t, change in changed:
+        for part in t.parts:
+            for by, column in zip(change, part.columns, strict=True):
+                for p in column:
+                    yield (part.place, part.index, part.component), Product(float(by) * p.factor, p.functions)
+    state, other = cell.state, without.state
+    at_rest = np.zeros((1, state.chain.n))
+    root = state.chain.frames(at_rest)[0, 0]
+    base = state.T_base_station @ se3.inverse(other.T_base_station)  # it moves instead of the stations
+    links = [chain.link_transforms(at_rest)[0] for chain in (state.chain, other.chain)]
+    moved = [se3.inverse(root) @ base @ root, *(se3.inverse(links[0]) @ links[1])]
+    moved[-1] = moved[-1] @ other.T_flange_scanner @ se3.inverse(state.T_flange_scanner)
+    for frame, motion in enumerate(moved):
+        for component, twist in enumerate(_twist(motion)):
+            if twist:
+                yield ("frame", frame, component), Product(float(twist))
+
+
+def _twist(T: np.ndarray) -> np.ndarray:
+    """(6,) mm and rad, mean of small rigid motions (..., 4, 4)."""
+    each = np.concatenate([T[..., :3, 3], se3.rotation_log(T[..., :3, :3])], axis=-1)
+    return each.reshape(-1, 6).mean(axis=0)
