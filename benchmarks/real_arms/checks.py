@@ -28,8 +28,8 @@ def diagnosed(folder: Path) -> None:
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [third]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
         found = fit_part(setup.with_linearization(linear), train, bool(full.random))
-        before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, (), full.noise)
-        after = predictive_score.held_out_score(linear, train, judged, found.model, found.random, full.noise)
+        before = predictive_score.HeldOutPrediction(linear, train, judged, NO_EFFECTS, (), full.noise).score()
+        after = predictive_score.HeldOutPrediction(linear, train, judged, found.model, found.random, full.noise).score()
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 

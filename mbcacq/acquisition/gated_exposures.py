@@ -97,7 +97,7 @@ class GatedExposures:
             self._report_scan(pose, exposure, scan)
             if not len(scan.points):
                 return [], "its scan shows no point of the part"
-        return [FoundSpheres.nothing() for _ in range(pose.exposures)], ""
+        return [FoundSpheres.of() for _ in range(pose.exposures)], ""
 
     def _placed(self, pose: PlannedPose, q: np.ndarray) -> tuple[list[FoundSpheres], int]:
         """The first exposure that shows the artefact of a station in its place, and how many were taken. Raises Misplaced."""

@@ -371,5 +371,5 @@ def verify(
         return calibrated.verify(observations, limit_mm=limit_mm)
     obs = verification_poses(observations)
     pairs = verification.measured_pairs(obs, before or calibrated, calibrated)
-    budgets = [length_budget(obs, p.station, p.balls) for p in pairs]
-    return verification.verification_of(obs, pairs, budgets, limit_mm)
+    budgets = [length_budget(obs, p.station, p.pair.balls) for p in pairs]
+    return verification.verification_of(pairs, budgets, limit_mm)

@@ -19,7 +19,6 @@ from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.estimation import terms
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linear_problem import ExtendedProblem
-from mbcacq.estimation.normal_equations import Prior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import HAND_EYE
 from mbcacq.estimation.pose_information import WeightedRows
@@ -156,10 +155,8 @@ def kinds_of_change(at: Solution) -> Iterator[KindOfChange]:
         yield KindOfChange("station", obs.cell.stations[s].id, twist, units, at_s, among, 0.25 / len(obs.cell.stations))
     if at.lineariser.rows.depth > 3:
         ball, count = unit("ball", 0, 3), len(obs.cell.ball_ids)
-        for k in range(count):
-            yield KindOfChange(
-                "ball", str(obs.cell.ball_ids[k]), names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count
-            )
+        for k, name in enumerate(map(str, obs.cell.ball_ids)):
+            yield KindOfChange("ball", name, names, units[:3], ball * (obs.ball == k)[:, None, None], every, 0.15 / count)
 
 
 @dataclass(frozen=True)
@@ -203,12 +200,8 @@ def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -
     after[obs.measuring_order[moment:]] = True
     step = rows.pad(at.lineariser.weighted(kind.columns * after[obs.pose][:, None, None]))
     columns, k = at.columns.with_parameters(step), step.shape[2]
-    prior = Prior(
-        np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)]),
-        np.concatenate([at.prior.offset, np.zeros(k)]),
-        at.prior.station_information,
-        at.prior.station_offset,
-    )
+    sigma = np.concatenate([at.prior.sigma, 1e3 * np.where(np.array(kind.units) == "rad", 1e-2, 1.0)])
+    prior = replace(at.prior, sigma=sigma, offset=np.concatenate([at.prior.offset, np.zeros(k)]))
     problem = ExtendedProblem(columns, WeightedRows(rows, columns, at.weights.centre, at.weights.pose), prior)
     return restricted_maximum_likelihood(lambda noise: problem.at(noise).after_fit(), start, at.lineariser.noise_prior)
 

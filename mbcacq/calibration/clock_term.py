@@ -47,12 +47,8 @@ def with_clock(cell: CalibratedCell) -> CalibratedCell:
     at = [cell.names.index(name) for name in NAMES]
     index = [t.name for t in cell.fit.options.terms].index(CLOCK)
     further, sigma = cell.fit.coefficients[index], np.sqrt(np.diag(cell.covariance)[at])
-    clock = {
-        "delay_s": float(delay + further[0]),
-        "delay_sigma_s": float(sigma[0]),
-        "drift": float(drift + further[1]),
-        "drift_sigma": float(sigma[1]),
-    }
+    clock = {"delay_s": float(delay + further[0]), "delay_sigma_s": float(sigma[0])}
+    clock |= {"drift": float(drift + further[1]), "drift_sigma": float(sigma[1])}
     return replace(cell, extra={**cell.extra, "clock": clock})
 
 

@@ -137,21 +137,14 @@ def _row(
     seconds = time.perf_counter() - begin
     d, _ = about_best_station(obs, cell)
     bar = verify(whole, cell)
-    errors = np.abs(bar.errors("after")) if bar.places else None
+    mean, largest = (bar.after.mean_mm, bar.after.max_mm) if bar.places else (None, None)
     held_out_mm, why = None, ""
     try:
         held_out_mm = _held_out(fit, obs, seed) if held_out else None
     except CalibrationError as error:
         why = str(error)
-    return ComparisonRow(
-        method=name,
-        fit_mm=rms(d),
-        bar_mean_mm=None if errors is None else float(errors.mean()),
-        bar_max_mm=None if errors is None else float(errors.max()),
-        held_out_mm=held_out_mm,
-        time_s=seconds,
-        why_not_held_out=why,
-    )
+    row = ComparisonRow(method=name, fit_mm=rms(d), bar_mean_mm=mean, bar_max_mm=largest, held_out_mm=held_out_mm, time_s=seconds)
+    return replace(row, why_not_held_out=why)
 
 
 def posture_range(obs: Observations) -> float:
@@ -290,14 +283,8 @@ def distances_only(obs: Observations) -> CellState:
 
     _scanner_of_several_balls(obs)
     first = calibrate(obs, CalibrationOptions(kinematics=False)).state
-    found = method.identify(
-        obs,
-        first,
-        method.constraint(obs, "all"),
-        parameters.build(obs, CalibrationOptions(balls=False)),
-        CalibrationOptions(),
-        Measured(scanner_noise(obs)),
-    )
+    layout, measured = parameters.build(obs, CalibrationOptions(balls=False)), Measured(scanner_noise(obs))
+    found = method.identify(obs, first, method.constraint(obs, "all"), layout, CalibrationOptions(), measured)
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 

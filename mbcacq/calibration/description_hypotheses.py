@@ -88,11 +88,8 @@ def _robot_units(o: Observations) -> Iterator[Misreading]:
         yield Misreading(what, "unit", lambda o: replace(o, q=in_degrees(o.q)))
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
-        yield Misreading(
-            "the robot's a and d read as metres, not millimetres",
-            "unit",
-            lambda o: _with_chain(o, lambda c: replace(c, a=1e3 * c.a, d=1e3 * c.d)),
-        )
+        what = "the robot's a and d read as metres, not millimetres"
+        yield Misreading(what, "unit", lambda o: _with_chain(o, lambda c: replace(c, a=1e3 * c.a, d=1e3 * c.d)))
     alpha = np.abs(o.cell.robot.chain.alpha)
     if in_degrees(alpha).max() < RADIANS and alpha.any():
         what = "the robot's alpha and theta read as radians, not degrees"

@@ -121,15 +121,8 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
     probing = sum(seen / poses for seen, _, poses in ends)
     repeatability = sum(repeated_variance(obs, moved) / poses for _, moved, poses in ends)
     temperature = artefact_temperature(obs, artefact)
-    return LengthBudget(
-        length,
-        float(np.sqrt(2) * artefact.uncertainty_mm),
-        temperature.thermal_mm(length),
-        float(np.sqrt(probing)),
-        float(np.sqrt(repeatability)),
-        obs.cell.stations[station].id,
-        temperature,
-    )
+    terms = float(np.sqrt(2) * artefact.uncertainty_mm), temperature.thermal_mm(length), float(np.sqrt(probing))
+    return LengthBudget(length, *terms, float(np.sqrt(repeatability)), obs.cell.stations[station].id, temperature)
 
 
 def repeated_variance(obs: Observations, found_mm2: float) -> float:

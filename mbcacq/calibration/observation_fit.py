@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -92,7 +92,7 @@ class EstimatedNoise(EveryKey):
         return Noise(point, joint) if self.turn_rad is None else Noise(point, joint, self.turn_rad)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ObservationFit:
     """The observations that a cell was calibrated from, with their residuals and weights.
 
@@ -194,22 +194,11 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())
     solution.forget()  # the whitened residual of a long recording takes as much memory as what it no longer needs
-    fit = ObservationFit(
-        observations=obs,
-        options=options,
-        coefficients=solution.estimate.coefficients,
-        station_covariance=station_covariance,
-        weights=weights,
-        residual=solution.residual,
-        whitened=solution.whitened_residual,
-        chi2=solution.cost,
-        dof=int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank,
-        rank=rank,
-        iterations=solution.iterations,
-        undetermined=tuple(adjustment.found),
-        rejected=_rejected(obs, solution, weights),
-        correlated=tuple(one for one in alike if not any(name.startswith("unknown:") for name in one[:2])),
-    )
+    of = obs, options, solution.estimate.coefficients, station_covariance, weights, solution.residual, solution.whitened_residual
+    dof = int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank
+    fit = ObservationFit(*of, solution.cost, dof, rank, solution.iterations)
+    alike = tuple(one for one in alike if not any(name.startswith("unknown:") for name in one[:2]))
+    fit = replace(fit, undetermined=tuple(adjustment.found), rejected=_rejected(obs, solution, weights), correlated=alike)
     return fit, CellEstimate(state=solution.estimate.state, layout=layout, covariance=C, noise=adjustment.noise)
 
 
@@ -235,21 +224,14 @@ def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState
     arm, balls = state.chain.rows - cell.robot.chain.rows, state.balls - cell.ball_centres
     errors = [arm.reshape(-1), moved, balls.reshape(-1), *fit.coefficients]
     std = iter(_standard_deviations(layout.names, T, covariance))
-    return [
-        Parameter(
-            name=name,
-            value=float(value[i]),
-            error=float(error[i]),
-            unit=block.units[i],
-            std=next(std) if block.free[i] else None,
-            status=_status(block, i, fit.options.kinematics),
-            reason=block.why.get(name, ""),
-            **_prior(block, i, fit.options.kinematics),
-        )
-        for block, value, error in zip(layout.blocks, values, errors, strict=True)
-        for i, name in enumerate(block.names)
-        if block.free[i] or name in block.why
-    ]
+    of_arm, out = fit.options.kinematics, []
+    for block, value, error in zip(layout.blocks, values, errors, strict=True):
+        for i, name in enumerate(block.names):
+            if block.free[i] or name in block.why:
+                about = {"status": _status(block, i, of_arm), "reason": block.why.get(name, ""), **_prior(block, i, of_arm)}
+                sigma = next(std) if block.free[i] else None
+                out.append(Parameter(name=name, value=float(value[i]), error=float(error[i]), unit=block.units[i], std=sigma, **about))
+    return out
 
 
 def _standard_deviations(names: Sequence[str], T_flange_scanner: np.ndarray, covariance: np.ndarray) -> list[float]:

@@ -37,7 +37,7 @@ class MissedBy:
         return cls(float(np.sqrt(np.mean(mm**2))), float(np.median(mm)), float(mm.max()))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ArmImprovement(AsJson):
     """What corrected targets changed, at poses of one recording.
 
@@ -104,16 +104,12 @@ def arm_improvement(
         elsewhere = ~took_part[enough]
         new = bool(elsewhere.sum() >= FEWEST)
         counted = elsewhere if new else counted
-    return ArmImprovement(
-        before=MissedBy.of(before[counted]),
-        after=MissedBy.of(after[counted]),
-        noise_mm=float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))),
-        poses=int(counted.sum()),
-        new=new,
-        pose=tuple(int(p) for p in obs.pose_id[counted]),
-        before_mm=tuple(float(v) for v in before[counted]),
-        after_mm=tuple(float(v) for v in after[counted]),
+    noise, pose = float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))), tuple(obs.pose_id[counted].tolist())
+    missed, each = (
+        (MissedBy.of(before[counted]), MissedBy.of(after[counted])),
+        (tuple(before[counted].tolist()), tuple(after[counted].tolist())),
     )
+    return ArmImprovement(*missed, noise, int(counted.sum()), new, pose, *each)
 
 
 def missed_mm(obs: Observations) -> np.ndarray:

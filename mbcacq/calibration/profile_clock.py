@@ -156,16 +156,8 @@ def adjust_in_motion(
         )
     _, _, passing, s, velocity, known, _ = _linearised(motion, seen, at)
     clock = replace(at.clock, covariance=A[6:8, 6:8], jitter_s=float(np.sqrt(sizes[0])))
-    return replace(
-        at,
-        clock=clock,
-        covariance=A,
-        pose_sigma_mm=float(np.sqrt(sizes[1])),
-        used=used & known,
-        sphere_in_scanner=s,
-        velocity=velocity,
-        passing=passing,
-    )
+    found = replace(at, clock=clock, covariance=A, pose_sigma_mm=float(np.sqrt(sizes[1])), used=used & known)
+    return replace(found, sphere_in_scanner=s, velocity=velocity, passing=passing)
 
 
 def misfit_mm(motion: FlangeMotion, seen: SeenSections, at: ProfilesInMotion) -> float:
@@ -234,17 +226,8 @@ def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotio
     _, delay, found = best
     clock = SensorClock(float(seen.time_s.mean()), delay, 0.0, np.zeros((2, 2)))
     nothing = np.zeros((len(seen.circles), 6))
-    return ProfilesInMotion(
-        T_hand_eye=found.T_hand_eye,
-        spheres=found.sphere[None],
-        clock=clock,
-        covariance=np.eye(11),
-        pose_sigma_mm=0.0,
-        used=np.ones(len(nothing), dtype=bool),
-        sphere_in_scanner=nothing[:, :3],
-        velocity=nothing,
-        passing=nothing[:, :3],
-    )
+    used, place = np.ones(len(nothing), dtype=bool), found.sphere[None]
+    return ProfilesInMotion(found.T_hand_eye, place, clock, np.eye(11), 0.0, used, nothing[:, :3], velocity=nothing, passing=nothing[:, :3])
 
 
 def _delays(motion: FlangeMotion, t: np.ndarray) -> np.ndarray:
@@ -306,12 +289,8 @@ def _scored(
     r, J, W = r[used], J[used], W[used]
     WJ, Wr = W @ J, np.einsum("pij,pj->pi", W, r)
     D = [part[used] for part in parts]
-    gradient = np.array(
-        [
-            np.einsum("pi,pij,pj->", Wr, d, Wr) - np.einsum("pij,pji->", W, d) + np.einsum("ab,pia,pij,pjb->", A, WJ, d, WJ, optimize=True)
-            for d in D
-        ]
-    )
+    known = [np.einsum("ab,pia,pij,pjb->", A, WJ, d, WJ, optimize=True) - np.einsum("pij,pji->", W, d) for d in D]
+    gradient = np.array([np.einsum("pi,pij,pj->", Wr, d, Wr) + of_fit for d, of_fit in zip(D, known, strict=True)])
     information = np.array([[np.einsum("pij,pjk,pkl,pli->", W, a, W, b, optimize=True) for b in D] for a in D])
     free = (sizes > 0) | (gradient > 0)
     step = np.zeros(len(sizes))

@@ -253,6 +253,8 @@ def result_file(
         for s, (station, covariance) in enumerate(zip(cell.stations, fit.station_covariance, strict=True))
         if s in used
     ]
+    figures = {name: getattr(fit, name) for name in ("rms_mm", "chi2", "dof", "rank", "iterations")}
+    figures |= {"poses": fit.used_poses, "centres": int(fit.used.sum())}
     return ResultFile(
         format=FORMAT,
         method=fit.options.method,
@@ -267,17 +269,7 @@ def result_file(
         names=estimate.names,
         covariance=estimate.covariance,
         noise=noise,
-        fit=FitInResult(
-            poses=fit.used_poses,
-            centres=int(fit.used.sum()),
-            rms_mm=fit.rms_mm,
-            chi2=fit.chi2,
-            dof=fit.dof,
-            chi2_dof=fit.chi2 / fit.dof if fit.dof > 0 else None,
-            rank=fit.rank,
-            iterations=fit.iterations,
-            expected_accuracy_mm=expected_accuracy_mm,
-        ),
+        fit=FitInResult(**figures, chi2_dof=fit.chi2 / fit.dof if fit.dof > 0 else None, expected_accuracy_mm=expected_accuracy_mm),
         observability=arm_indices(estimate.layout, estimate.covariance, fit.used_poses),
         scan_scale=scan_scale(fit.observations, fit.used, estimate.noise.point),
         scale=scale_in_words(fit.observations),

@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.calibration.cell_estimate import CellEstimate
 from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, ParameterLayout, build
 from mbcacq.estimation.pose_information import Weights
@@ -25,12 +26,8 @@ def share_of(
     centres = np.isin(every.pose, poses)
     stations = slice(*_range([len(p.lineariser.obs.cell.stations) for p in parts], r))
     balls = slice(*_range([len(p.lineariser.obs.cell.ball_ids) for p in parts], r))
-    state = replace(
-        whole.state,
-        T_flange_scanner=whole.state.T_flange_scanner[r],
-        T_base_station=whole.state.T_base_station[stations],
-        balls=whole.state.balls[balls],
-    )
+    cell = whole.state
+    state = CellState(cell.chain, cell.T_flange_scanner[r], cell.T_base_station[stations], cell.balls[balls])
     kept = () if whole.effects is None else tuple(t.names for t in whole.effects.terms)
     layout, index, coefficients = _own_layout(together, whole.layout, build(obs, replace(options, hold=())), r, balls, kept)
     weights = Weights(together.weights.centre[centres], together.weights.pose[poses])
@@ -38,21 +35,10 @@ def share_of(
     rank = layout.size - int(layout.blocks[0].free.sum()) - sum(len(names) for names in kept)
     rank += int(np.sum(np.linalg.matrix_rank(together.station_covariance[stations])))
     whitened = together.whitened[centres]
-    fit = replace(
-        together,
-        observations=obs,
-        options=options,
-        coefficients=coefficients,
-        station_covariance=together.station_covariance[stations],
-        weights=weights,
-        residual=together.residual[centres],
-        whitened=whitened,
-        chi2=float(np.sum(whitened**2)),
-        dof=max(int(used.sum()) * whitened.shape[1] - rank, 0),
-        rank=rank,
-        rejected=(),
-        correlated=(),
-    )
+    dof, places = max(int(used.sum()) * whitened.shape[1] - rank, 0), together.station_covariance[stations]
+    own = replace(together, observations=obs, options=options, coefficients=coefficients, station_covariance=places, weights=weights)
+    fit = replace(own, residual=together.residual[centres], whitened=whitened, chi2=float(np.sum(whitened**2)), dof=dof, rank=rank)
+    fit = replace(fit, rejected=(), correlated=())
     noise, covariance = _own_noise(whole.noise, every, int(poses[0])), whole.covariance[np.ix_(index, index)]
     return fit, CellEstimate(state=state, layout=layout, covariance=covariance, noise=noise, effects=whole.effects)
 
@@ -71,11 +57,8 @@ def _own_layout(
     blocks = whole.blocks
     position = np.cumsum(np.concatenate([b.free for b in blocks])) - 1
     start = np.cumsum([0] + [len(b.names) for b in blocks])
-    mine = [
-        np.arange(start[0], start[1]),
-        np.arange(start[1] + 6 * r, start[1] + 6 * r + 6),
-        np.arange(start[2] + 3 * balls.start, start[2] + 3 * balls.stop),
-    ]
+    ends = (start[0], start[1]), (start[1] + 6 * r, start[1] + 6 * r + 6), (start[2] + 3 * balls.start, start[2] + 3 * balls.stop)
+    mine = [np.arange(*ends_of_one) for ends_of_one in ends]
     arm, mount, ball = own.blocks[:3]
     free = np.concatenate([b.free for b in blocks])
     prefix = f"hand_eye[{r + 1}]."

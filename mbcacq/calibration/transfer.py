@@ -197,7 +197,7 @@ def check_transfer(
         rest = model.select(lambda t, keys=keys: t.key not in keys)
         without = tried.figures(tried.fit(cell.state.chain, rest), every).rms_mm
         gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
-    departures = model.departures(observations)
+    warned_of = (*tried.changes(cell.state.chain, model), *left_out, *map(str, model.departures(observations)))
     inside = model.inside(observations)
     both = inside.any() and not inside.all()
     return Transfer(
@@ -209,13 +209,7 @@ def check_transfer(
         own_geometry=tried.own_geometry(every),
         effects=tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
-        warnings=(
-            *tried.changes(cell.state.chain, model),
-            *left_out,
-            *(str(d) for d in departures),
-            *reversed_loads(observations, cell),
-            *model.absent(observations),
-        ),
+        warnings=(*warned_of, *reversed_loads(observations, cell), *model.absent(observations)),
         recording=recording,
         fitted=FITTED_OF_FLANGE if tried.of_flange_poses else Transfer.fitted,
         parts_left_out=tried.parts_left_out(best, model, used),
@@ -332,12 +326,8 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(
-                self.obs,
-                CalibrationOptions(
-                    kinematics=not self.of_flange_poses, refuse=False, discrepancy=False, random_links=False, phases=all_phases(self.obs)
-                ),
-            )
+            options = CalibrationOptions(kinematics=not self.of_flange_poses, refuse=False, discrepancy=False, random_links=False)
+            own = calibrate(self.obs, replace(options, phases=all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(own, used)

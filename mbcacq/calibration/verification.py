@@ -175,18 +175,11 @@ class Verification(EveryKey):
         )
 
     def _repr_html_(self) -> str:
-        rows = [
-            (
-                p.station,
-                f"{p.balls[0]}-{p.balls[1]}",
-                fixed(p.certified_mm, 4),
-                signed(p.before_mm),
-                signed(p.after_mm) + (" (beyond expected)" if p.beyond_expected else ""),
-                uncertainty(K * (p.judging_mm or 0.0)),
-                uncertainty(K * (p.expected_mm or 0.0)),
-            )
-            for p in self.places
-        ]
+        rows = []
+        for p in self.places:
+            after = signed(p.after_mm) + (" (beyond expected)" if p.beyond_expected else "")
+            judging, expected = (uncertainty(K * (u or 0.0)) for u in (p.judging_mm, p.expected_mm))
+            rows.append((p.station, f"{p.balls[0]}-{p.balls[1]}", fixed(p.certified_mm, 4), signed(p.before_mm), after, judging, expected))
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
@@ -205,14 +198,10 @@ class Verification(EveryKey):
 
 
 class MeasuredPair(NamedTuple):
-    """One pair of balls, by ids, at one station, by index. certified_mm: their distance; before_mm, after_mm: as measured with two states
-    of the cell; ends: where each was measured."""
+    """One pair of balls as two states of the cell have it. station: its index; ends: where each ball was measured."""
 
     station: int
-    balls: tuple[int, int]
-    certified_mm: float
-    before_mm: float
-    after_mm: float
+    pair: VerifiedPair
     ends: tuple[End, End]
 
 
@@ -224,8 +213,9 @@ def measured_pairs(obs: Observations, before: CellState, after: CellState, effec
     out = []
     for station, a, b in pairs_of_balls(found):
         first, last = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (start, found))
-        length = float(np.linalg.norm(certified[a] - certified[b]))
-        out.append(MeasuredPair(station, (a, b), length, first, last, (ends[station, a], ends[station, b])))
+        length, at = float(np.linalg.norm(certified[a] - certified[b])), obs.cell.stations[station].id
+        pair = VerifiedPair(station=at, balls=(a, b), certified_mm=length, before_mm=first - length, after_mm=last - length)
+        out.append(MeasuredPair(station, pair, (ends[station, a], ends[station, b])))
     return out
 
 
@@ -235,26 +225,9 @@ def stacked(ends: Sequence[End]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.concatenate(q), np.concatenate(xyz), np.array(count)
 
 
-def verification_of(
-    obs: Observations,
-    pairs: Sequence[MeasuredPair],
-    budgets: Sequence[LengthBudget],
-    limit_mm: float | None,
-    expected_mm: Sequence[float] | None = None,
-) -> Verification:
-    """The errors of measured pairs, with the budget of judging each, and the uncertainty expected of each where it is known."""
-    places = tuple(
-        VerifiedPair(
-            station=obs.cell.stations[p.station].id,
-            balls=p.balls,
-            certified_mm=p.certified_mm,
-            before_mm=p.before_mm - p.certified_mm,
-            after_mm=p.after_mm - p.certified_mm,
-            expected_mm=None if expected_mm is None else expected_mm[i],
-            judging_mm=budgets[i].combined_mm,
-        )
-        for i, p in enumerate(pairs)
-    )
+def verification_of(pairs: Sequence[MeasuredPair], budgets: Sequence[LengthBudget], limit_mm: float | None) -> Verification:
+    """The errors of measured pairs, with the budget of judging each."""
+    places = tuple(replace(p.pair, judging_mm=budget.combined_mm) for p, budget in zip(pairs, budgets, strict=True))
     largest = max(budgets, key=lambda b: b.combined_mm, default=None)
     return Verification(places=places, limit_mm=limit_mm, budget=largest)
 

@@ -42,10 +42,11 @@ def verified_lengths(cell: CellEstimate, before: CellState, observations: Observ
     ends = [_end_variance(cell, u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
     measuring = sum((seen + moved) / count for seen, moved, count in ends)
     expected = np.sqrt(np.sum(row**2, axis=1) + measuring)
-    budgets = [length_budget(obs, p.station, p.balls, [(s[i], m[i], n[i]) for s, m, n in ends]) for i, p in enumerate(pairs)]
+    budgets = [length_budget(obs, p.station, p.pair.balls, [(s[i], m[i], n[i]) for s, m, n in ends]) for i, p in enumerate(pairs)]
     common = float(np.linalg.norm(row.mean(axis=0))) if len(pairs) > 1 else None
-    found = verification.verification_of(obs, pairs, budgets, limit_mm, expected.tolist())
-    return replace(found, common_mm=common)
+    found = verification.verification_of(pairs, budgets, limit_mm)
+    places = tuple(replace(place, expected_mm=float(e)) for place, e in zip(found.places, expected, strict=True))
+    return replace(found, places=places, common_mm=common)
 
 
 def _end_variance(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -288,16 +289,7 @@ class _Stage:
             options = replace(options, displaced=tuple((t.at_poses(poses, obs.pose), c) for t, c in options.displaced))
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *further, *unmodelled.at(obs))
-        return cls(
-            fitted=fitted,
-            options=options,
-            observations=obs,
-            weights=weights,
-            built=built,
-            groups=groups,
-            scale=np.ones(len(groups)),
-            estimate=start,
-        )
+        return cls(fitted, options, obs, weights, built, groups, scale=np.ones(len(groups)), estimate=start)
 
     def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
         """The same sizes and estimate by all poses."""
@@ -354,14 +346,9 @@ class _Stage:
         step = solved - np.r_[np.zeros(first), at.prior.offset[own]]
         moved = self.estimate.moved(layout, step, normal.station_step(step), self.lineariser.rows.stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
-        kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
-        return replace(
-            self,
-            built=tuple(t for t, keep in zip(self.built, alive, strict=True) if keep),
-            groups=tuple(g for g, keep in zip(self.groups, scale > 0, strict=True) if keep),
-            scale=scale[scale > 0],
-            estimate=kept,
-        )
+        kept = Estimate(moved.state, tuple(compress(moved.coefficients, alive)))
+        built, left = tuple(compress(self.built, alive)), tuple(compress(self.groups, scale > 0))
+        return replace(self, built=built, groups=left, scale=scale[scale > 0], estimate=kept)
 
 
 def group_scales(S: np.ndarray, b: np.ndarray, several: Sequence[EffectTerm], start: np.ndarray, smallest: float) -> np.ndarray:

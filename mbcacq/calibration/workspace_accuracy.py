@@ -30,13 +30,9 @@ def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str,
     singular = np.sqrt(np.maximum(value, 0.0))
     if not len(singular) or singular[0] <= 1e-9 * singular[-1]:
         return {f"O{i}": 0.0 for i in range(1, 6)}
-    return {
-        "O1": float(np.exp(np.mean(np.log(singular))) / np.sqrt(count)),
-        "O2": float(singular[0] / singular[-1]),
-        "O3": float(singular[0]),
-        "O4": float(singular[0] ** 2 / singular[-1]),
-        "O5": float(1.0 / np.sum(1.0 / singular)),
-    }
+    least, largest = singular[0], singular[-1]
+    mean, harmonic = np.exp(np.mean(np.log(singular))) / np.sqrt(count), 1.0 / np.sum(1.0 / singular)
+    return {f"O{i}": float(index) for i, index in enumerate((mean, least / largest, least, least**2 / largest, harmonic), 1)}
 
 
 def arm_indices(layout: ParameterLayout, covariance: np.ndarray, poses: int) -> dict[str, float]:

@@ -131,5 +131,5 @@ def held_out(linear: LinearProblem, model: EffectSet, sigma: Noise, by_pose: boo
     total = predictive_score.NO_CENTRES
     for k in range(int(fold.max()) + 1):
         train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
-        total += predictive_score.held_out_score(linear, train, test, model, (), sigma)
+        total += predictive_score.HeldOutPrediction(linear, train, test, model, (), sigma).score()
     return total.chi2_dof

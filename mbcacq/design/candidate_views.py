@@ -35,18 +35,11 @@ def random_views(count: int, steepest_deg: float, rng: np.random.Generator, opti
     """Views on a grid coarse enough to be written down: whole degrees and millimetres, both wrist branches alike."""
     # Uniform over the cap of directions, not over the angle.
     tilt = in_degrees(np.arccos(1 - rng.uniform(0, 1, count) * (1 - np.cos(from_degrees(steepest_deg)))))
-    azimuth, roll = rng.integers(-36, 36, (2, count)) * 5
+    azimuth, roll = rng.integers(-36, 36, (2, count)) * 5.0
     shift = np.rint(rng.uniform(-1, 1, (count, 3)) * np.array((options or DesignOptions()).shifts_mm))
-    return [
-        View(
-            tilt_deg=float(np.rint(t)),
-            azimuth_deg=float(a),
-            roll_deg=float(r),
-            shift_mm=(float(s[0]), float(s[1]), float(s[2])),
-            wrist="positive" if k % 2 else "negative",
-        )
-        for k, (t, a, r, s) in enumerate(zip(tilt, azimuth, roll, shift, strict=True))
-    ]
+    drawn = enumerate(zip(np.rint(tilt).tolist(), azimuth.tolist(), roll.tolist(), shift.tolist(), strict=True))
+    wrists = ("negative", "positive")  # in turn
+    return [View(tilt_deg=t, azimuth_deg=a, roll_deg=r, shift_mm=tuple(s), wrist=wrists[k % 2]) for k, (t, a, r, s) in drawn]
 
 
 def candidates(
@@ -130,15 +123,5 @@ class ViewChoice:
         return self._clearance.at(q, station).distance < loaded.plan.clearance_mm + options.spare_clearance_mm
 
     def _pose(self, number: int, station: str, q: np.ndarray, balls: tuple[int, ...]) -> PlannedPose:
-        return PlannedPose(
-            number=number,
-            step=0,
-            step_name="design",
-            phase="position",
-            station=station,
-            artefact=self._loaded.cell.station(station).artefact,
-            q=q,
-            balls=balls,
-            exposures=self._loaded.plan.exposures,
-            line=0,
-        )
+        artefact, exposures = self._loaded.cell.station(station).artefact, self._loaded.plan.exposures
+        return PlannedPose(number, 0, "design", "position", station, artefact, q, balls=balls, exposures=exposures, line=0)

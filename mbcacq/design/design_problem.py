@@ -26,9 +26,7 @@ class DesignProblem:
     ball) of each.
     """
 
-    def __init__(
-        self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[CandidateView], poses: Sequence[PlannedPose]
-    ) -> None:
+    def __init__(self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[CandidateView], poses: Sequence[PlannedPose]):
         """kept: calibration poses that stay; found: candidates; poses: of the whole plan, for its verification."""
         self._loaded, self._poses = loaded, poses
         self._state, self._noise = planned_state(loaded), planned_noise(loaded, [*kept, *(c.pose for c in found)])

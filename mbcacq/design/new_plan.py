@@ -174,24 +174,12 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
     if spec.name.startswith("FANUC "):  # J3 of their controllers is counted from the horizontal
         robot["controller_joints"] = {"couplings": [{"axis": 3, "of": 2, "factor": -1}]}
     if track is not None:
-        axis = {
-            "name": "E1",
-            "type": "prismatic",
-            "carries": "arm",
-            "direction": [1, 0, 0],
-            "limits_mm": list(track),
-            "speed_mm_s": TRACK_MM_S,
-        }
+        axis = {"name": "E1", "type": "prismatic", "carries": "arm", "direction": [1, 0, 0]}
+        axis |= {"limits_mm": list(track), "speed_mm_s": TRACK_MM_S}
         robot |= {"external_axes": [axis], "home_external": [sum(track) / 2]}
-    return {
-        "format": "mbcacq-plan/1",
-        "name": f"{spec.name} with {artefact.name or artefact.id}",
-        "robot": robot,
-        "scanner": scanner["scanner"],
-        "positioner": {"driver": "manual"},
-        "hand_eye": scanner["hand_eye"],
-        "artefacts": [names[request.artefact]],
-    }
+    named = {"format": "mbcacq-plan/1", "name": f"{spec.name} with {artefact.name or artefact.id}", "robot": robot}
+    devices = {"scanner": scanner["scanner"], "positioner": {"driver": "manual"}, "hand_eye": scanner["hand_eye"]}
+    return {**named, **devices, "artefacts": [names[request.artefact]]}
 
 
 def _reach(spec: RobotSpec) -> tuple[float, np.ndarray]:

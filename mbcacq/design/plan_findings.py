@@ -79,15 +79,8 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
     if not hidden:
         return []
     listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())
-    return [
-        PlanFinding(
-            level="info",
-            code="blind",
-            step="",
-            place=place,
-            sentence=f"effects that these poses would not detect at their usual size: {listed}",
-        )
-    ]
+    sentence = f"effects that these poses would not detect at their usual size: {listed}"
+    return [PlanFinding(level="info", code="blind", step="", place=place, sentence=sentence)]
 
 
 def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:

@@ -44,18 +44,11 @@ def planned_observations(
     """
     cell = replace(loaded.cell, stations=tuple(replace(s, T_base_station=None, sigma_mm=None) for s in loaded.cell.stations))
     station, pose, balls = expected_centres(cell, poses)
-    blank = Observations(
-        cell=cell,
-        pose_id=np.array([p.number for p in poses]),
-        station=station,
-        q=np.array([p.q for p in poses]),
-        pose=pose,
-        ball=balls,
-        xyz=np.zeros((len(pose), 3)),
-        phase=np.array([p.phase for p in poses]),
-        time_s=None if starts is None else np.array(starts, dtype=float),
-        direction=None if transits is None else np.array(last_directions(loaded, poses, transits)),
-    )
+    numbers, q, phase = (np.array(x) for x in ([p.number for p in poses], [p.q for p in poses], [p.phase for p in poses]))
+    time_s = None if starts is None else np.array(starts, dtype=float)
+    direction = None if transits is None else np.array(last_directions(loaded, poses, transits))
+    nowhere = np.zeros((len(pose), 3))
+    blank = Observations(cell, numbers, station, q, pose, balls, nowhere, phase=phase, time_s=time_s, direction=direction)
     return replace(blank, xyz=forward_model.predict(blank, planned_state(loaded)).xyz)
 
 
@@ -72,12 +65,9 @@ def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: N
     """What a random true cell with usual errors would record at the same poses: scanner noise and joint repeatability drawn anew."""
     state, n = planned_state(loaded), loaded.cell.robot.n
     errors, mounting = np.array(OPTIONS.parameter_errors), np.array(OPTIONS.mounting_errors)
-    truth = CellState(
-        state.chain.with_errors(errors * rng.standard_normal((n, 5))),
-        state.T_flange_scanner @ se3.exp(mounting * rng.standard_normal(6)),
-        state.T_base_station @ se3.exp(mounting * rng.standard_normal((len(state.T_base_station), 6))),
-        state.balls,
-    )
+    chain, mount = state.chain.with_errors(errors * rng.standard_normal((n, 5))), se3.exp(mounting * rng.standard_normal(6))
+    places = state.T_base_station @ se3.exp(mounting * rng.standard_normal((len(state.T_base_station), 6)))
+    truth = CellState(chain, state.T_flange_scanner @ mount, places, state.balls)
     stood = replace(observations, q=observations.q + noise.joint * rng.standard_normal(observations.q.shape))
     xyz = forward_model.predict(stood, truth).xyz
     return replace(observations, xyz=xyz + noise.point * rng.standard_normal(xyz.shape))

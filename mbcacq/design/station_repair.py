@@ -50,16 +50,8 @@ def station_moves(loaded: LoadedPlan) -> list[StationMove]:
         offset = _nearest_offset(loaded, own)
         place = None if offset is None else np.round(loaded.cell.station(station).planned_pose[:3, 3] + offset)
         count = sum(t.station == station for t in lost)
-        out.append(
-            StationMove(
-                station=station,
-                line=loaded.lines.get(("stations", index), 1),
-                unreachable=count,
-                views=len(own),
-                place=place,
-                distance_mm=0.0 if offset is None else float(np.linalg.norm(offset)),
-            )
-        )
+        line, moved = loaded.lines.get(("stations", index), 1), 0.0 if offset is None else float(np.linalg.norm(offset))
+        out.append(StationMove(station=station, line=line, unreachable=count, views=len(own), place=place, distance_mm=moved))
     return out
 
 

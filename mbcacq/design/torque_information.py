@@ -21,7 +21,7 @@ from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TorqueInformation:
     """Normal equations of everything that is fitted to the torque: offsets, inertial parameters of the links, rotors, friction, a load on
     the flange, a balancer.
@@ -76,18 +76,7 @@ class TorqueInformation:
         placed = tuple(replace(e, columns=np.array([position[int(i)] for i in e.columns])) for e in model.selected)
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
-        return cls(
-            robot=robot,
-            group=group,
-            normal=normal,
-            weights=weights,
-            step_s=runs[0].step_s,
-            placed=placed,
-            named=named,
-            names=names,
-            scale=scale,
-            arm=arm,
-        )
+        return cls(robot, group, normal, weights, runs[0].step_s, placed, named, names=names, scale=scale, arm=arm)
 
     def of_motion(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> np.ndarray:
         """(P, P): what recording a motion adds, of which the angles (T, n) and their rates are given every so many s."""
@@ -110,20 +99,8 @@ class TorqueInformation:
     def _signals(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> tuple[MotionSignals, np.ndarray]:
         robot, still = self.robot, np.zeros_like(q)
         inertial = regressor(robot.chain, q, qd, qdd, robot.gravity)
-        run = MotionSignals(
-            step_s,
-            q,
-            qd,
-            qdd,
-            direction_of_rotation(q, step_s),
-            q,
-            torque=still,
-            rigid=still,
-            gravity=still,
-            payload=inertial[:, :, -1],
-            robot=robot,
-        )
-        return run, inertial
+        run = MotionSignals(step_s, q, qd, qdd, direction_of_rotation(q, step_s), q, robot=robot)
+        return replace(run, torque=still, rigid=still, gravity=still, payload=inertial[:, :, -1]), inertial
 
     def covariance(self, more: np.ndarray | None = None) -> np.ndarray:
         """(P, P) expected, in the units of the names, after these recordings and a further motion."""

@@ -1,4 +1,4 @@
-"""``diagnose``: observations in, verdict out. ``_diagnose`` is the method on one page, in the order of docs/explanation/method.md."""
+"""``diagnose``: observations in, verdict out; the method on one page, in the order of docs/explanation/method.md."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.executor import Refit, Refitting, TimeBudget, WorkerPool, give_back_freed_memory, processes
+from mbcacq.diagnosis.executor import Refit, Refitting, TimeBudget, give_back_freed_memory, processes
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
@@ -55,64 +55,49 @@ def diagnose(
         )
     budget, options = TimeBudget.of_minutes(minutes), options_for(first, options or CalibrationOptions())
     with determined(recordings), processes(workers) as pool:
-        return _diagnose(recordings, pool, budget, options, folds=folds, progress=progress, formulas=formulas, refit=refit)
 
+        def begins(stage: str) -> None:
+            give_back_freed_memory()
+            progress(stage)
 
-def _diagnose(
-    recordings: Observations | Sequence[Observations],
-    pool: WorkerPool,
-    budget: TimeBudget,
-    options: CalibrationOptions,
-    *,
-    folds: int | None,
-    progress: Progress,
-    formulas: bool,
-    refit: Refit | None,
-) -> Diagnosis:
-    """The diagnosis, computed by the processes of a pool."""
+        begins("fitting the geometry")
+        problem, notes = linearised(recordings, options, budget)
+        refitting = Refitting(refit, pool)
 
-    def begins(stage: str) -> None:
-        give_back_freed_memory()
-        progress(stage)
+        begins("searching for effects")
+        early = repeated_early(replace(problem, budget=budget), folds, pool)
+        part, fit, members = search(problem)
+        if problem.in_part:  # what is left nearly always asks for groups at all locations
+            refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(members)))
+        full = fit_everywhere(problem, part, fit, members)
+        variations = noise_variations(full)
+        if variations and not problem.in_part and not problem.budget.spent:
+            begins("searching for effects again, with the noise as it depends on the place")
+            problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
+            full = fit_model(problem)
+        kept = kept_model(full)
+        refitting.begin(kept)
 
-    begins("fitting the geometry")
-    problem, notes = linearised(recordings, options, budget)
-    refitting = Refitting(refit, pool)
+        problem = replace(problem, budget=budget)
+        again, halves = early or repeated(problem, full, folds, pool)
+        validation = validated(full, again, begins)
+        kept, left_out = predicting_better(kept, full, validation)
+        refitting.begin(kept)
+        parts = repetitions(full, halves)
 
-    begins("searching for effects")
-    early = repeated_early(replace(problem, budget=budget), folds, pool)
-    part, fit, members = search(problem)
-    if problem.in_part:  # what is left nearly always asks for groups at all locations
-        refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(members)))
-    full = fit_everywhere(problem, part, fit, members)
-    variations = noise_variations(full)
-    if variations and not problem.in_part and not problem.budget.spent:
-        begins("searching for effects again, with the noise as it depends on the place")
-        problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
-        full = fit_model(problem)
-    kept = kept_model(full)
-    refitting.begin(kept)
-
-    problem = replace(problem, budget=budget)
-    again, halves = early or repeated(problem, full, folds, pool)
-    validation = validated(full, again, begins)
-    kept, left_out = predicting_better(kept, full, validation)
-    refitting.begin(kept)
-    parts = repetitions(full, halves)
-
-    begins("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = replace(conclude(problem, full, validation, parts), model=kept or None)
-    if formulas:
-        proposals, tried = propose(problem, full, result.effects, progress)
-        result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
-    dependences = tuple(one.entry for one in variations)
-    noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *left_out, *notes)
-    result = replace(result, notes=noted, noise_depends_on=dependences)
-    if not refitting.begun:
-        return result
-    begins("fitting the cell with its effects")
-    model, further = refitting.answer()
-    return replace(result, model=model, notes=(*result.notes, *further))
+        begins("drawing the conclusion: uncertainties, alternatives, what could not have been found")
+        result = replace(conclude(problem, full, validation, parts), model=kept or None)
+        if formulas:
+            proposals, tried = propose(problem, full, result.effects, progress)
+            result = replace(result, proposals=proposals, notes=(*result.notes, *tried))
+        dependences = tuple(entry for entry, _ in variations)
+        noted = (*noise_in_words(dependences, not problem.in_part), *result.notes, *left_out, *notes)
+        result = replace(result, notes=noted, noise_depends_on=dependences)
+        if not refitting.begun:
+            return result
+        begins("fitting the cell with its effects")
+        model, further = refitting.answer()
+        return replace(result, model=model, notes=(*result.notes, *further))
 
 
 def linearised(

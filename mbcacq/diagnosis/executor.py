@@ -115,9 +115,7 @@ class WorkerPool:
             for _ in range(self._others):
                 self._pool.submit(importlib.import_module, "mbcacq.diagnosis.validation.folds")  # what they will need
 
-    def map(
-        self, function: Callable[..., Any], *arguments: Iterable[Any], answered: Callable[[int], None] = lambda count: None
-    ) -> list[Any]:
+    def map(self, function: Callable[..., Any], *arguments: Iterable[Any], answered: Callable[[int], None] = lambda n: None) -> list[Any]:
         """Answers to all calls, in order. answered: gets about how many there are, after each of this process.
 
         Which process makes a call depends on its number alone. Raises the error of a call.

@@ -46,7 +46,7 @@ class LocatedMismatch:
     log_bayes_factor: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ModelFit:
     """The model that one pass has found.
 
@@ -165,16 +165,8 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     conditioned = conditioned_on_effects(projected, model)
     model = replace(model, gain=projected.chi2 - conditioned.chi2)
     estimated = best.solved.part(lambda m: m.candidate.name == UNKNOWN) if best.unmodelled else None
-    return ModelFit(
-        model=model,
-        random=() if estimated is None else random_effects(best.point.linear, estimated),
-        cells=cells_of(best),
-        noise=best.point.noise,
-        geometry_only=projected,
-        conditioned=conditioned,
-        evidence=fit,
-        estimated=estimated,
-    )
+    random = () if estimated is None else random_effects(best.point.linear, estimated)
+    return ModelFit(model, random, cells_of(best), best.point.noise, projected, conditioned, fit, estimated=estimated)
 
 
 def random_effects(linear: LinearProblem, found: EffectSet) -> tuple[RandomEffect, ...]:

@@ -32,12 +32,7 @@ ROUNDS = 30
 RANK = 1e-8  # of a pose's rigid motions: singular values below are of motions that no centre shows
 
 
-@dataclass(frozen=True)
-class Variation:
-    """A noise that varies: of what, and its sigma relative to the mean, (P,), at each pose."""
-
-    entry: NoiseDependence
-    scale: np.ndarray
+Variation = tuple[NoiseDependence, np.ndarray]  # a noise that varies, and its sigma relative to the mean, (P,), at each pose
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,7 @@ def noise_variations(full: ModelFit) -> list[Variation]:
     total = np.bincount(np.repeat(linear.obs.pose, linear.width), whole, linear.obs.n_poses)
     out = []
     instrument = varying_most(linear.obs, within, INSTRUMENT, float(np.sqrt(np.mean(noise.point**2))))
-    scale = instrument.scale if instrument else np.ones(linear.obs.n_poses)
+    scale = instrument[1] if instrument else np.ones(linear.obs.n_poses)
     out += [instrument] if instrument else []
     # The rest of the rigid motions counts only in so far as the instrument's own variation does not say already.
     moved = SquaresOfPoses(np.maximum(total - within.square, 0.0) / scale**2, rigid)
@@ -127,26 +122,14 @@ def varying_most(obs: Observations, squares: SquaresOfPoses, of: str, sigma_mm: 
     near, far = (float(np.interp(end, np.sort(x), scale[np.argsort(x)])) for end in (low, high))
     if p_value > LEAST_P or max(near, far) < OPTIONS.noticeable * min(near, far):
         return None
-    return Variation(
-        NoiseDependence(
-            of=of,
-            covariate=name,
-            unit=unit,
-            low=float(low),
-            high=float(high),
-            sigma_low_mm=sigma_mm * near,
-            sigma_high_mm=sigma_mm * far,
-            p_value=p_value,
-        ),
-        scale,
-    )
+    low, high, near, far = float(low), float(high), sigma_mm * near, sigma_mm * far
+    entry = NoiseDependence(of=of, covariate=name, unit=unit, low=low, high=high, sigma_low_mm=near, sigma_high_mm=far, p_value=p_value)
+    return entry, scale
 
 
 def with_noise_scale(obs: Observations, found: list[Variation]) -> Observations:
     """The observations with the noise of each pose relative to the mean, as several recordings have it."""
     scale = np.ones((obs.n_poses, 3 + obs.cell.robot.n))
-    for one in found:
-        scale[:, :3] *= one.scale[:, None]
-        if one.entry.of == ALL:
-            scale[:, 3:] *= one.scale[:, None]
+    for entry, relative in found:
+        scale[:, : None if entry.of == ALL else 3] *= relative[:, None]
     return replace(obs, noise_scale=scale)

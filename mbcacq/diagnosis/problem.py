@@ -33,7 +33,7 @@ from mbcacq.model.observations import Observations
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class DiagnosisProblem:
     """The recording linearised at its geometric fit, and everything that may explain it.
 
@@ -140,16 +140,8 @@ def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustm
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=adjusted.lineariser.asked, given=options.displaced)
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
-    return DiagnosisProblem(
-        linear=linear,
-        context=context,
-        candidates=[*candidates, *differing(candidates, obs)],
-        dropped=dropped,
-        noise=adjusted.noise,
-        prior_noise=adjusted.lineariser.noise_prior,
-        design_blocks=DesignBlocks(context),
-        undetermined=tuple(adjusted.found),
-    )
+    tried, noise = [*candidates, *differing(candidates, obs)], (adjusted.noise, adjusted.lineariser.noise_prior)
+    return DiagnosisProblem(linear, context, tried, dropped, *noise, DesignBlocks(context), undetermined=tuple(adjusted.found))
 
 
 def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candidate]:

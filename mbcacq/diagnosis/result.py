@@ -29,7 +29,7 @@ def _content(model: EffectModel | None) -> dict[str, Any] | None:
 Model = Annotated[EffectModel | None, InJson(EffectModelFile | None, _model, _content)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class GeometryAlone:
     """The cell of one recording before any effect, as ``mbcacq.calibrate`` has it: keys, names and units are those of result.json (format
     'mbcacq-result/1').
@@ -66,17 +66,11 @@ class GeometryAlone:
         """Noise and figures of a calibration without effects."""
         arm, hand_eye, *_ = cell.layout.blocks
         parameters = parameters_of(fit, cell.layout, cell.state, cell.covariance)
-        return cls(
-            poses=fit.used_poses,
-            centres=int(fit.used.sum()),
-            rms_mm=fit.rms_mm,
-            chi2=float(fit.chi2),
-            dof=fit.dof,
-            noise=EstimatedNoise.of(cell.noise, oriented=fit.oriented),
-            calibrated={p: tuple(getattr(cell.state.chain, p).tolist()) for p in PARAMETERS},
-            T_flange_scanner=tuple(tuple(row) for row in cell.state.T_flange_scanner.tolist()),
-            parameters=tuple(p for p in parameters if p.name in {*arm.names, *hand_eye.names}),
-        )
+        parameters = tuple(p for p in parameters if p.name in {*arm.names, *hand_eye.names})
+        figures = fit.used_poses, int(fit.used.sum()), fit.rms_mm, float(fit.chi2), fit.dof
+        calibrated = {p: tuple(getattr(cell.state.chain, p).tolist()) for p in PARAMETERS}
+        T, noise = tuple(tuple(row) for row in cell.state.T_flange_scanner.tolist()), EstimatedNoise.of(cell.noise, oriented=fit.oriented)
+        return cls(*figures, noise, calibrated, T, parameters)
 
 
 @dataclass(frozen=True)

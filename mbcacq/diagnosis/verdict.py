@@ -69,29 +69,18 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
         verdict = "cannot_tell"  # a name that parts do not give again, or trends alone, explain nothing
     if verdict in ("none", "explained") and rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep):
         verdict = "cannot_tell"  # what is left out is not explained
+    said = [*not_carried_over(verdict, validation, effects), *sum_of_shares(mismatch, before, after), *notes(setup, full)]
+    said += [*of_effects(setup, full, found), *([] if too_little is None else [too_little]), *undecided_evidence(full)]
     return Diagnosis(
         verdict=verdict,
         mismatch=tuple(mismatch),
         effects=tuple(effects),
-        fit=FitSummary(
-            train=FitFigures(*_figures(before, after)),
-            held_out=held_out_figures(validation),
-            repeatability_floor_mm=expected_rms(full, after.rms),
-        ),
+        fit=FitSummary(FitFigures(*_figures(before, after)), held_out_figures(validation), expected_rms(full, after.rms)),
         geometry_alone=setup.geometry_alone,
         not_separable=not_separable,
         advice=tuple(advice),
         dropped=setup.dropped,
-        notes=(
-            *not_carried_over(verdict, validation, effects),
-            *sum_of_shares(mismatch, before, after),
-            *notes(setup, full),
-            *of_effects(setup, full, found),
-            *([] if too_little is None else [too_little]),
-            *undecided_evidence(full),
-            *once,
-            *evidence.untried,
-        ),
+        notes=(*said, *once, *evidence.untried),
         exclusion_limits=exclusion_limits(full, setup.possible, there),
         between_recordings=recordings,
         evidence=evidence,
@@ -105,13 +94,8 @@ def held_out_figures(validation: CrossValidation) -> HeldOutFigures:
     figures = HeldOutFigures(*_figures(before, after), split=validation.split)
     if after.every <= after.count:
         return figures
-    return replace(
-        figures,
-        centres=after.every,
-        robust_centres=after.count,
-        every_before_rms_mm=before.rms_of_every,
-        every_after_rms_mm=after.rms_of_every,
-    )
+    every = before.rms_of_every, after.rms_of_every
+    return HeldOutFigures(*_figures(before, after), validation.split, after.every, after.count, *every)
 
 
 def named_alone(alike: Sequence[tuple[NotSeparable, EffectSet, EffectSet]]) -> list[tuple[Sequence[Member], Sequence[Member]]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -78,17 +78,10 @@ class ArmInFile(EveryKey):
         """The arm of a file."""
         rows = (np.array(self.nominal[p]) for p in PARAMETERS)
         root = None if self.root is None else np.array(self.root)
-        return RobotModel(
-            self.name,
-            Chain(np.array(self.sign, dtype=float), *rows, sliding=self.sliding, floor=self.floor, root=root, follows=self.follows),
-            self.limits,
-            np.array(self.mass_kg),
-            np.array(self.com_mm),
-            payload_mass=self.payload_mass_kg,
-            payload_com=np.array(self.payload_com_mm),
-            gravity=np.array(self.gravity),
-            names=self.axes,
-        )
+        chain = Chain(np.array(self.sign, dtype=float), *rows, sliding=self.sliding, floor=self.floor, root=root, follows=self.follows)
+        arm = RobotModel(self.name, chain, self.limits, np.array(self.mass_kg), np.array(self.com_mm), names=self.axes)
+        payload_com, gravity = np.array(self.payload_com_mm), np.array(self.gravity)
+        return replace(arm, payload_mass=self.payload_mass_kg, payload_com=payload_com, gravity=gravity)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -155,20 +155,12 @@ class EffectModel:
                     entry[3].append(f"{t.name} at {'+'.join(t.where)}")
                     rows = np.flatnonzero(left) if len(left) == obs.n_poses else np.unique(obs.pose[left])
                     where[name] = np.union1d(where.get(name, rows), rows)
-        return sorted(
-            (
-                Departure(
-                    covariate=name,
-                    share=share,
-                    low=low,
-                    high=high,
-                    effects=tuple(dict.fromkeys(effects))[:4],
-                    poses=tuple(obs.pose_id[where[name]].tolist()),
-                )
-                for name, (share, low, high, effects) in found.items()
-            ),
-            key=lambda d: -d.share,
-        )
+        out = []
+        for name, (share, low, high, effects) in found.items():
+            poses = tuple(obs.pose_id[where[name]].tolist())
+            named = tuple(dict.fromkeys(effects))[:4]
+            out.append(Departure(covariate=name, share=share, low=low, high=high, effects=named, poses=poses))
+        return sorted(out, key=lambda d: -d.share)
 
     def absent(self, obs: Observations) -> list[str]:
         """Sentences on covariates that a recording lacks, and on effects that belong to the recording they were learnt from."""

@@ -127,22 +127,11 @@ class EffectTerm(EveryKey):
         **fields: Any,
     ) -> EffectTerm:
         """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
-        label, nothing = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.zeros(len(sigma))
-        return cls(
-            name=UNKNOWN,
-            where=where,
-            depends_on=depends_on,
-            parts=tuple(parts),
-            names=tuple(f"{label}[{j}]" for j in range(len(sigma))),
-            units=units,
-            coefficients=nothing,
-            std=nothing,
-            sigma=np.asarray(sigma, dtype=float),
-            typical=np.asarray(sigma, dtype=float),
-            variant=variant,
-            ranges=learnt_ranges(here, parts),
-            **fields,
-        )
+        label, sizes = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.asarray(sigma, dtype=float)
+        names, nothing = tuple(f"{label}[{j}]" for j in range(len(sizes))), np.zeros(len(sizes))
+        fields |= {"where": where, "depends_on": depends_on, "parts": tuple(parts), "variant": variant, "units": units}
+        fields |= {"ranges": learnt_ranges(here, parts), "sigma": sizes, "typical": sizes}
+        return cls(name=UNKNOWN, names=names, coefficients=nothing, std=nothing, **fields)
 
     @property
     def k(self) -> int:

@@ -5,8 +5,6 @@ Each is a sine and cosine whose order (periods per turn of the joint) is found i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
@@ -21,15 +19,6 @@ LEAST_PERIODS = 1.5  # in the observed travel: more than one whole period
 OUTSIDE = 0.5 * DEGREE  # beyond the observed angles, where a phase is still known
 
 
-@dataclass(frozen=True)
-class OrderRange:
-    """Orders that a recording can show. spacing: the distance of two orders that the travelled angle distinguishes."""
-
-    lowest: float
-    highest: float
-    spacing: float
-
-
 def periodic_component(
     effect: tuple[str, PeriodicInMotion], joint: int, axis: str, order: float, spacing: float, trials: float, observed: tuple[float, float]
 ) -> Candidate:
@@ -37,20 +26,14 @@ def periodic_component(
     orders to try around it; trials: how many were compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere
     its phase is not known, and it is zero."""
     name, declared = effect
-    return Candidate(
-        name,
-        (axis,),
-        own_angle(axis),
-        MotionRows((joint,), _columns(observed)),
-        _report(axis, declared.amplitude, declared.scale),
-        Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
-        several=True,
-        variant=f"{order:.4g}",
-    )
+    rows, report = MotionRows((joint,), _columns(observed)), _report(axis, declared.amplitude, declared.scale)
+    hyper = Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials)
+    return Candidate(name, (axis,), own_angle(axis), rows, report, hyper, several=True, variant=f"{order:.4g}")
 
 
-def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint: int) -> OrderRange | None:
-    """The orders from ``lowest_order`` on that the recordings can show, None if the joint hardly moved."""
+def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint: int) -> tuple[float, float, float] | None:
+    """The lowest from ``lowest_order`` on and the highest that the recordings can show, and the distance of two orders that the travelled
+    angle distinguishes; None if the joint hardly moved."""
     travel = max(float(np.ptp(run.q[:, joint])) for run in runs)
     if travel < LEAST_TRAVEL:
         return None
@@ -58,7 +41,7 @@ def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint:
     spacing = 2 * np.pi / travel
     lowest = max(lowest_order, LEAST_PERIODS * spacing)
     highest = min(HIGHEST_ORDER, np.pi / max(fastest, 1e-9))  # two samples a period at the highest speed
-    return OrderRange(lowest, highest, spacing) if highest > lowest else None
+    return (lowest, highest, spacing) if highest > lowest else None
 
 
 def _columns(observed: tuple[float, float]) -> Columns:

@@ -54,15 +54,9 @@ def with_drives_for(robot: RobotModel, name: str, where: tuple[str, ...]) -> Rob
 
 def unnamed(candidate: Candidate, refused: str) -> Candidate:
     """The candidate as an unmodelled effect at its location. refused: the sentence on the name that it cannot have."""
-    return replace(
-        candidate,
-        name=UNKNOWN,
-        report=lambda c, v, h: {},
-        positive=False,
-        several=True,
-        variant=f"as {candidate.name} {candidate.variant}".rstrip(),
-        support=Support(refused=refused),
-    )
+    variant, support = f"as {candidate.name} {candidate.variant}".rstrip(), Support(refused=refused)
+    plain = replace(candidate, name=UNKNOWN, report=lambda c, v, h: {}, variant=variant, support=support)
+    return replace(plain, positive=False, several=True)
 
 
 def refused_in_words(candidate: Candidate, c: np.ndarray, covariance: np.ndarray, hyper: float | None, why: str) -> str:

@@ -138,15 +138,7 @@ def predict(obs: Observations, state: CellState, displacements: Displacements | 
     if rotation is not None and moved.orientation is not None:
         rotation = rotation @ se3.rotation_exp(moved.orientation)
     return Prediction(
-        xyz=xyz,
-        frames=frames,
-        T_base_scanner=T_base_scanner,
-        T_base_station=T_base_station,
-        ball=ball,
-        pose=obs.pose,
-        measurement=obs.cell.measurement,
-        rotation=rotation,
-        direction=direction,
+        xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation=rotation, direction=direction
     )
 
 

@@ -121,14 +121,12 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
     raise CalibrationError(f"the poses do not determine {named}; {advice}, or hold what is not needed")
 
 
-def workspace_information(
-    obs: Observations, state: CellState, layout: ParameterLayout, postures: int = PROBES, seed: int = 1
-) -> np.ndarray:
+def workspace_information(obs: Observations, state: CellState, layout: ParameterLayout, count: int = PROBES, seed: int = 1) -> np.ndarray:
     """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
     what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
     rng, measured = np.random.default_rng(seed), typical_points(obs)
     low, high = state.chain.drawn_between(obs.cell.robot.limits)
-    q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
+    q = rng.uniform(low, high, size=(count, obs.cell.robot.n))
     twists, T = _twists(layout, state, q)
     points = se3.apply(T[:, None], measured[None])  # (P, K, 3)
     # The points of a posture move by D twist, D = [1, -x]; the same columns, of the base, are those of a rigid motion of everything.

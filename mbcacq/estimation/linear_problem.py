@@ -73,17 +73,8 @@ class LinearProblem:
         # Residual, effects and geometry are of one scale: covariances that single measurements state count in the adjustment alone.
         lineariser = Lineariser(replace(obs, covariance=None), layout, options)
         there = lineariser.evaluate(Estimate(state, tuple(np.zeros(one.size) for one, _ in given)))
-        whole = cls(
-            obs=obs,
-            state=state,
-            keep=np.ones(obs.n_centres, bool),
-            layout=layout,
-            rows=lineariser.rows,
-            prediction=there.prediction,
-            residual=there.residual,
-            columns_by_pose=lineariser.at(there),
-            given=tuple(given),
-        )
+        every, fixed, columns = np.ones(obs.n_centres, bool), (lineariser.rows, there.prediction, there.residual), lineariser.at(there)
+        whole = cls(obs, state, every, layout, *fixed, columns_by_pose=columns, given=tuple(given))
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
         off = there.prior.offset

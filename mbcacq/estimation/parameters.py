@@ -185,16 +185,7 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
         return ParameterBlock("chain", names, units, free, start, scale, why, group=group)
     if prior is None:
         return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
-    return ParameterBlock(
-        name="chain",
-        names=names,
-        units=units,
-        free=free,
-        sigma=prior.sigma.reshape(-1),
-        scale=scale,
-        why=why,
-        centre=prior.mean.reshape(-1),
-    )
+    return ParameterBlock("chain", names, units, free, prior.sigma.reshape(-1), scale, why, centre=prior.mean.reshape(-1))
 
 
 def _acts_like(robot: RobotModel, i: int, parameter: str) -> str:
@@ -301,18 +292,13 @@ class Estimate:
     state: CellState
     coefficients: tuple[np.ndarray, ...] = ()
 
-    def moved(
-        self, layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray, stations: np.ndarray | slice = slice(None)
-    ) -> Estimate:
+    def moved(self, layout: ParameterLayout, step: np.ndarray, moves: np.ndarray, stations: np.ndarray | slice = slice(None)) -> Estimate:
         """After a step (g,) of the free parameters and local twists (S', 6) of some stations, of all if not said."""
         twists = np.zeros((len(self.state.T_base_station), 6))
-        twists[stations] = station_step
+        twists[stations] = moves
         chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
         state = self.state
-        moved = CellState(
-            state.chain.with_errors(chain_step.reshape(-1, 5)),
-            state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6)),
-            state.T_base_station @ se3.exp(twists),
-            state.balls + ball_step.reshape(-1, 3),
-        )
+        chain, balls = state.chain.with_errors(chain_step.reshape(-1, 5)), state.balls + ball_step.reshape(-1, 3)
+        mount = state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6))
+        moved = CellState(chain, mount, state.T_base_station @ se3.exp(twists), balls)
         return Estimate(moved, tuple(c + s for c, s in zip(self.coefficients, term_steps, strict=True)))

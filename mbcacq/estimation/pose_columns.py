@@ -92,13 +92,8 @@ class PoseColumns:
         k = columns.shape[2]
         added = [(0, 0), (0, k), (0, 0)]
         own = np.broadcast_to(np.eye(self.basis.shape[2] + k)[:, -k:], (len(columns), self.basis.shape[2] + k, k))
-        return replace(
-            self,
-            basis=np.concatenate([self.basis, columns], axis=2),
-            twists=np.pad(self.twists, added),
-            station=np.pad(self.station, added),
-            joints=np.concatenate([np.pad(self.joints, added), own], axis=2),
-        )
+        basis, joints = (np.concatenate(pair, axis=2) for pair in ([self.basis, columns], [np.pad(self.joints, added), own]))
+        return replace(self, basis=basis, twists=np.pad(self.twists, added), station=np.pad(self.station, added), joints=joints)
 
     def change(self, step: np.ndarray, station_step: np.ndarray) -> np.ndarray:
         """(P, B R): what a step (g,) of the parameters and twists (P, 6) of the poses' stations take off the residual."""

@@ -88,12 +88,8 @@ def combined_state(parts: Sequence[Adjustment]) -> CellState:
     first = states[0].chain
     mean = np.mean([s.chain.rows - first.rows for s in states], axis=0)
     chain: Chain = first.with_errors(mean)
-    return CellState(
-        chain,
-        np.stack([s.T_flange_scanner for s in states]),
-        np.concatenate([s.T_base_station for s in states]),
-        np.concatenate([s.balls for s in states]),
-    )
+    places, balls = (np.concatenate([getattr(s, name) for s in states]) for name in ("T_base_station", "balls"))
+    return CellState(chain, np.stack([s.T_flange_scanner for s in states]), places, balls)
 
 
 def _cell(recordings: Sequence[Observations]) -> Cell:

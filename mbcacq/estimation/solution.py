@@ -148,12 +148,8 @@ class Solution:
         rows, station_step = self.lineariser.rows, self.normal.station_step(step)
         residual = self.poses.residual_after(step, station_step)
         offset, station_offset = self.prior.offset + step, self.prior.station_offset + station_step
-        there = replace(
-            self.there,
-            residual=self.lineariser.unweighted(rows.unpad(residual)),
-            rows=residual,
-            prior=replace(self.prior, offset=offset, station_offset=station_offset),
-        )
+        prior = replace(self.prior, offset=offset, station_offset=station_offset)
+        there = replace(self.there, residual=self.lineariser.unweighted(rows.unpad(residual)), rows=residual, prior=prior)
         poses = self.poses.with_residual(replace(self.columns, residual=residual))
         return replace(self, there=there, poses=poses, normal=self.normal.after(step), step=SolverStep(self, step, station_step))
 

@@ -109,16 +109,10 @@ class InterimCheck:
             Format 'mbcacq-check-result/1'; angles in rad.
         """
         times, since, between = [day.time for day in self.history.days], self.verdict.since, self.verdict.between
-        return {
-            "format": FORMAT,
-            **fields_as_json(self.verdict),
-            "checks": len(times),
-            "log_e_by_check": [day.log_e for day in self.history.days],
-            "since": None if since is None else times[since],
-            "since_between": None if between is None else [times[k] for k in between],
-            "before_first_check": since == 0,
-            "files": {"history": str(self.file), "recording": str(self.run)},
-        }
+        day, days = None if since is None else times[since], None if between is None else [times[k] for k in between]
+        said = {"format": FORMAT, **fields_as_json(self.verdict), "checks": len(times)}
+        said |= {"log_e_by_check": [day.log_e for day in self.history.days], "since": day, "since_between": days}
+        return said | {"before_first_check": since == 0, "files": {"history": str(self.file), "recording": str(self.run)}}
 
     def next_step(self, result: Path | str, plan: Path, dry_run: bool) -> tuple[str, str]:
         """What to do after this check, and the command for it.
@@ -278,25 +272,18 @@ def _new_history(
     loaded: LoadedPlan, poses: list[PlannedPose], cell: CalibratedCell, content: dict[str, Any], settings: CheckSettings
 ) -> CheckHistory:
     """A history without days, of the poses that notice most. Raises ConfigError if the plan has too few."""
-    options = replace(OPTIONS, poses=settings.poses)
-    if settings.part or not any(p.balls for p in poses):
-        scans = with_points(loaded, poses)[1]
-        q = np.array([p.q for p in scans])
-        numbers = tuple(p.number for p in scans)
-        return CheckHistory(result=digest(content), plan=loaded.path.name, poses=numbers, q=q, standing=False, usual_days=settings.days)
-    if settings.poses < options.fewest:
+    options, name, days = replace(OPTIONS, poses=settings.poses), loaded.path.name, settings.days
+    on_part = settings.part or not any(p.balls for p in poses)
+    if on_part:
+        chosen = with_points(loaded, poses)[1]
+    elif settings.poses < options.fewest:
         raise ConfigError(f"a check of {settings.poses} poses tells hardly any change from another; give {options.fewest} or more")
-    everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
-    numbers = choose_poses(everything, options)
-    q = np.array([p.q for p in poses if p.number in numbers])
-    return CheckHistory(
-        result=digest(content),
-        plan=loaded.path.name,
-        poses=tuple(sorted(numbers)),
-        q=q,
-        standing=settings.standing,
-        usual_days=settings.days,
-    )
+    else:
+        everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, days)
+        numbers = choose_poses(everything, options)
+        chosen = [p for p in poses if p.number in numbers]
+    standing, numbers, q = settings.standing and not on_part, tuple(p.number for p in chosen), np.array([p.q for p in chosen])
+    return CheckHistory(result=digest(content), plan=name, poses=numbers, q=q, standing=standing, usual_days=days)
 
 
 def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:

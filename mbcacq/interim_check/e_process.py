@@ -56,7 +56,7 @@ class Level:
     """One level of the noise, with the changes' columns turned so that those of a change are independent under it.
 
     weight: (R, R) inverse covariance, without what is free; log_det: of the covariance; scores: (R, K) of all columns, y = scores' r;
-    information: (K,) of each. turned: of each change (k, k), its columns in the turned ones.
+    information: (K,) of each.
     """
 
     noise: float
@@ -65,7 +65,6 @@ class Level:
     log_det: float
     scores: np.ndarray
     information: np.ndarray
-    turned: tuple[np.ndarray, ...]
 
 
 class EProcess:
@@ -82,13 +81,12 @@ class EProcess:
 
     def _level(self, noise: float, day: float) -> Level:
         weight, log_det = weight_of(noise**2 * self.rows.noise + day**2 * self.rows.daily @ self.rows.daily.T, self.rows.free)
-        scores, information, turned = [], [], []
+        scores, information = [], []
         for columns in self.columns:
             values, vectors = np.linalg.eigh(columns.T @ weight @ columns)
             scores.append(weight @ columns @ vectors)
             information.append(np.maximum(values, 0.0))
-            turned.append(vectors)
-        return Level(noise, day, weight, log_det, np.concatenate(scores, axis=1), np.concatenate(information), tuple(turned))
+        return Level(noise, day, weight, log_det, np.concatenate(scores, axis=1), np.concatenate(information))
 
     def null(self, days: np.ndarray) -> np.ndarray:
         """(H, T) log densities of the differences between days (T, R), up to a constant, cumulated over the days."""

@@ -62,18 +62,9 @@ def seen_as_points(check: PlannedCheck, obs: Observations) -> tuple[Observations
     arms = xyz - T[:, None, :3, 3]
     J = np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -se3.skew(arms)], axis=3).reshape(count, 9, 6)
     noise = np.einsum("pai,piqj,qbj->paqb", J, total, J).reshape(9 * count, 9 * count)
-    points = replace(
-        obs,
-        cell=cell,
-        station=np.full(count, station),
-        pose=np.repeat(np.arange(count), 3),
-        ball=np.tile(balls, count),
-        xyz=xyz.reshape(-1, 3),
-        rotation=None,
-        covariance=None,
-        shared=None,
-    )
-    return points, noise
+    pose, ball = np.repeat(np.arange(count), 3), np.tile(balls, count)
+    points = replace(obs, cell=cell, station=np.full(count, station), pose=pose, ball=ball, xyz=xyz.reshape(-1, 3))
+    return replace(points, rotation=None, covariance=None, shared=None), noise
 
 
 def with_noise(check: PlannedCheck, noise: np.ndarray) -> PlannedCheck:

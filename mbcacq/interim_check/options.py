@@ -39,15 +39,8 @@ class CheckOptions:
     poses: int = 12  # of a check; more notice little more, and take minutes
     fewest: int = 6  # below them hardly any change is told from another
     false_alarms: float = 0.01  # of an arm, over all of its checks
-    noise_levels: tuple[float, ...] = (
-        0.6,
-        0.8,
-        1.0,
-        1.25,
-        1.6,
-        2.0,
-        2.5,
-    )  # of the calibration's noise (fewer exposures have more); the null is the best
+    # Of the calibration's noise (fewer exposures have more); the null is the best.
+    noise_levels: tuple[float, ...] = (0.6, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)
     day_levels: tuple[float, ...] = (0.0, 1.0, 3.0, 10.0)  # of ``UsualChanges``; the null is the best of them
     sizes: tuple[float, ...] = (0.3, 2.0)  # of a usual change: a slight one and a plain one, equally probable
     onset_days: float = 100.0  # half of all changes begin within so many checks; later ones fade slowly, as 1 / day^2

@@ -30,7 +30,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PlannedCheck:
     """Poses of a plan as a check.
 
@@ -83,18 +83,8 @@ def planned_check(
     free = np.zeros((3 * obs.n_centres, 0)) if standing else np.concatenate(stations, axis=1)
     noise = jitter(obs, state, prediction, cell.noise.point, cell.noise.joint)
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
-    found = possible_changes(obs, state, prediction, standing)
-    return PlannedCheck(
-        poses=tuple(poses),
-        cell=cell,
-        state=state,
-        obs=obs,
-        prediction=prediction,
-        rows=rows,
-        changes=tuple(found),
-        standing=standing,
-        shown=np.ones(3 * obs.n_centres, dtype=bool),
-    )
+    found, every = tuple(possible_changes(obs, state, prediction, standing)), np.ones(3 * obs.n_centres, dtype=bool)
+    return PlannedCheck(tuple(poses), cell, state, obs, prediction, rows, found, standing=standing, shown=every)
 
 
 def calibrated_state(loaded: LoadedPlan, cell: CalibratedCell) -> CellState:

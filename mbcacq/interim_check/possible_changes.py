@@ -126,9 +126,7 @@ def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[
     at = [PARAMETERS.index(p) for p in chosen]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
     each = [rows_of(prediction.by_twists(twists[:, i, at]) * usual) for i in range(state.chain.n)]
-    return [
-        PossibleChange("link", f"link {tag}", chosen, units, usual, columns) for tag, columns in zip(obs.cell.robot.tags, each, strict=True)
-    ]
+    return [PossibleChange("link", f"link {tag}", chosen, units, usual, own) for tag, own in zip(obs.cell.robot.tags, each, strict=True)]
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:

@@ -24,7 +24,7 @@ POWER = 1.2816  # quantile of the normal distribution: a change is noticed with 
 UNSEEN = 1e4  # usual changes: what is noticed no sooner is not seen at all
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Suspect:
     """One thing that may have changed. probability: among all changes, given a change; size, std: of its coefficients, in ``units``.
     explains: share of what is seen of the change, in that of the best description."""
@@ -46,7 +46,7 @@ class Suspect:
 Noticed = Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CheckVerdict:
     """What a check says.
 
@@ -140,19 +140,8 @@ def verdict_by(evidence: Evidence, check: PlannedCheck) -> CheckVerdict:
         suspects, since, between = _suspects_since(evidence, level, T)
     elif changed:
         suspects, since, between = _ranked(evidence.changes, factors, estimates), 0, (0, 0)
-    shown = process.levels[level if changed else null]
-    return CheckVerdict(
-        verdict=CHANGED if changed else AS_BEFORE,
-        log_e=log_e,
-        log_e_calibration=log_first,
-        log_threshold=threshold,
-        suspects=suspects,
-        since=since,
-        between=between,
-        noticed=noticed(evidence, null, T),
-        noise=shown.noise,
-        day=shown.day,
-    )
+    shown, seen, said = process.levels[level if changed else null], noticed(evidence, null, T), CHANGED if changed else AS_BEFORE
+    return CheckVerdict(said, log_e, log_first, threshold, suspects, since, between, noticed=seen, noise=shown.noise, day=shown.day)
 
 
 Estimate = tuple[np.ndarray, np.ndarray, float]
@@ -250,18 +239,8 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
         names, units = (r.parameters, r.units) if named else ((), ())
-        out.append(
-            Suspect(
-                name=r.name,
-                where=r.where,
-                probability=float(probability[k]),
-                parameters=names,
-                units=units,
-                size=sizes,
-                std=stds,
-                explains=chi2 / max(most, 1e-300),
-            )
-        )
+        about = Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, explains=chi2 / max(most, 1e-300))
+        out.append(about)
     return tuple(out)
 
 

@@ -71,11 +71,8 @@ class CadDeviations:
         return f"{text}; {100 * self.beyond_U:.1f} % of the points deviate by more than their U (k = 2, {self.U_mm:.3f} mm in the median)"
 
     def to_dict(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("drawn", "T_base_cad")} | {
-            "sentence": self.sentence,
-            "T_base_cad": self.T_base_cad.tolist(),
-            "map": self._map(),
-        }
+        plain = {name: value for name, value in vars(self).items() if name not in ("drawn", "T_base_cad")}
+        return {**plain, "sentence": self.sentence, "T_base_cad": self.T_base_cad.tolist(), "map": self._map()}
 
     def _map(self) -> dict[str, Any]:
         """Mean deviation over x and y of the CAD frame, None if there is no point."""

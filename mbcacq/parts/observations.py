@@ -47,17 +47,8 @@ def observations_of_parts(obs: Observations, scenes: Mapping[str, tuple[Register
     number = {k: ids.index(s.id) for k, s in enumerate(obs.cell.stations) if s.id in ids}
     here = np.isin(obs.station, list(number))  # with scans that overlap with no other, which have no measurement
     kept = obs.select(here)
-    return replace(
-        kept,
-        cell=cell,
-        station=np.array([number[s] for s in kept.station.tolist()], dtype=int),
-        pose=(np.cumsum(here) - 1)[poses[order]],
-        ball=np.zeros(len(poses), dtype=int),
-        xyz=T[:, :3, 3],
-        rotation=T[:, :3, :3],
-        covariance=covariance,
-        shared=np.concatenate(shared)[order] if total else None,
-        n_points=None,
-        rms_mm=None,
-        extra={name: values for name, values in kept.extra.items() if name.startswith("poses.")},
-    )
+    station, pose = np.array([number[s] for s in kept.station.tolist()], dtype=int), (np.cumsum(here) - 1)[poses[order]]
+    extra = {name: values for name, values in kept.extra.items() if name.startswith("poses.")}
+    seen = replace(kept, cell=cell, station=station, pose=pose, ball=np.zeros(len(poses), dtype=int), extra=extra)
+    shifts = np.concatenate(shared)[order] if total else None
+    return replace(seen, xyz=T[:, :3, 3], rotation=T[:, :3, :3], covariance=covariance, shared=shifts, n_points=None, rms_mm=None)

@@ -85,16 +85,8 @@ class SurfaceCells:
         """Some of the groups, by mask; cells that no two of these share go."""
         which = which & (np.bincount(self.cell[which], minlength=len(self.point)) > 1)[self.cell]
         kept, cell = np.unique(self.cell[which], return_inverse=True)
-        return replace(
-            self,
-            point=self.point[kept],
-            normal=self.normal[kept],
-            scatter=self.scatter[kept],
-            cell=cell,
-            scan=self.scan[which],
-            height=self.height[which],
-            variance=self.variance[which],
-        )
+        cells = replace(self, point=self.point[kept], normal=self.normal[kept], scatter=self.scatter[kept], cell=cell)
+        return replace(cells, scan=self.scan[which], height=self.height[which], variance=self.variance[which])
 
     def pair(self, i: int, j: int) -> Overlap:
         """The overlap of two scans."""

@@ -254,14 +254,8 @@ def _scene(of: RegisteredScans) -> RegisteredScene:
     total = determined @ own @ determined.T + float(np.mean(np.diag(own))) * open_ @ open_.T
     blocks = total.reshape(len(used), 6, len(used), 6)[np.arange(len(used)), :, np.arange(len(used))]
     T_base_scene = se3.transform(np.eye(3), origin)
-    return RegisteredScene(
-        T_scanner_scene=se3.inverse(T[used]) @ T_base_scene,
-        covariance=blocks,
-        shared=shared.reshape(len(used), 6, -1),
-        T_base_scene=T_base_scene,
-        left_out=tuple(sorted({*range(len(T))} - {*used.tolist()})),
-        noise=of.noise,
-    )
+    left_out, placed = tuple(sorted({*range(len(T))} - {*used.tolist()})), se3.inverse(T[used]) @ T_base_scene
+    return RegisteredScene(placed, blocks, shared.reshape(len(used), 6, -1), T_base_scene, left_out, of.noise)
 
 
 def _modes(information: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

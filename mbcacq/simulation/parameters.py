@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ DELAY_STEP = 1.5  # timesteps: MuJoCo takes a delay below one as one
 GEAR_DAMPING_S = 1e-3  # first guess of a gear's damping, as a share of its stiffness
 LEAST_COMPLIANCE = 1e-8  # rad/(N m); a stiffer gear is rigid, and no timestep would carry it
 LEAST_ROTOR = 1e-4  # of what a joint carries
+LARGEST_LOG = 20.0  # of a body's inertia over that at the start
 ADDED_ROTOR = 1e-2  # of what a joint carries: MuJoCo needs a rotor in front of a spring
 
 
@@ -30,40 +31,42 @@ class Block:
         Name of the mismatch.
     where : str
         Joint or body of the model.
-    lower, upper : ndarray
-        (k,) bounds.
     start : ndarray
         (k,) value in the model as it was given.
     step : ndarray
         (k,) of a finite difference.
     sigma : ndarray
         (k,) prior standard deviation about the start.
-    first : ndarray
-        (k,) from which a search sets out.
-    absent : bool
-        Whether the model as it was given lacks it; start is a guess then.
-    prepare : Callable
-        ``prepare(spec)`` adds missing parts to the model.
     apply : Callable
         ``apply(spec, x)`` sets the values.
     values : Callable
         ``values(x)`` are the coordinates in the model's own terms, by name with unit.
+    lower, upper : ndarray or float
+        (k,) bounds, or one for all.
+    prepare : Callable
+        ``prepare(spec)`` adds missing parts to the model.
+    first : ndarray
+        (k,) from which a search sets out.
+    absent : bool
+        Whether the model as it was given lacks it; start is a guess then.
     """
 
     name: str
     where: str
     start: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
     step: np.ndarray
     sigma: np.ndarray
     apply: Callable[[Any, np.ndarray], None]
     values: Callable[[np.ndarray], Values]
+    lower: np.ndarray | float = 0.0
+    upper: np.ndarray | float = np.inf
     prepare: Callable[[Any], None] = lambda spec: None
     first: np.ndarray = field(default_factory=lambda: np.zeros(0))
     absent: bool = False
 
     def __post_init__(self) -> None:
+        for bound in ("lower", "upper"):
+            object.__setattr__(self, bound, np.broadcast_to(np.asarray(getattr(self, bound), dtype=float), self.start.shape))
         if not len(self.first):
             object.__setattr__(self, "first", self.start)
 
@@ -98,7 +101,8 @@ def friction(arm: MujocoArm, joint: str, torque: float, speed: float) -> Block:
         _set_first(spec.joint(joint), "damping", x[1])
 
     start = np.array([_first(own.frictionloss), _first(own.damping)])
-    return _block("friction", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, ("frictionloss_Nm", "damping_Nms_per_rad"))
+    values = _named("frictionloss_Nm", "damping_Nms_per_rad")
+    return Block("friction", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, values)
 
 
 def armature(arm: MujocoArm, joint: str, inertia: float) -> Block:
@@ -109,7 +113,7 @@ def armature(arm: MujocoArm, joint: str, inertia: float) -> Block:
 
     start = np.array([_first(arm.spec.joint(joint).armature)])
     scale = np.array([max(inertia, start[0])])
-    return _block("armature", joint, start, RELATIVE_STEP * scale, scale, apply, ("armature_kg_m2",), lower=LEAST_ROTOR * inertia)
+    return Block("armature", joint, start, RELATIVE_STEP * scale, scale, apply, _named("armature_kg_m2"), lower=LEAST_ROTOR * inertia)
 
 
 def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
@@ -124,8 +128,7 @@ def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
             if own.armature == 0:
                 own.armature = ADDED_ROTOR * float(carried_inertia(arm)[arm.joints.index(joint)])
             added.limited, added.range = engine.mjtLimited.mjLIMITED_FALSE, [0.0, 0.0]
-            for attribute in ("frictionloss", "armature"):
-                setattr(added, attribute, 0.0)
+            added.frictionloss = added.armature = 0.0
             apply(spec, start)
 
     def spring(spec: Any) -> Any:
@@ -136,21 +139,17 @@ def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
         _set_first(spring(spec), "stiffness", 1.0 / x[0])
         _set_first(spring(spec), "damping", x[1] / x[0])
 
+    def values(x: np.ndarray) -> Values:
+        return {"stiffness_Nm_per_rad": 1.0 / x[0], "damping_Nms_per_rad": x[1] / x[0]}
+
     old = gear_spring(arm.spec, joint)
     start = np.array([max(compliance, LEAST_COMPLIANCE), GEAR_DAMPING_S])
     if old is not None:
         stiffness = _first(old.stiffness)
         start = np.array([1.0 / stiffness, _first(old.damping) / stiffness])
     scale = np.array([max(start[0], 1e-4 / max(torque, 1.0)), 5 * GEAR_DAMPING_S])
-    block = _block("gear", joint, start, RELATIVE_STEP * scale, scale, apply, (), lower=LEAST_COMPLIANCE)
-    return replace(
-        block,
-        prepare=prepare,
-        absent=old is None,
-        lower=np.array([LEAST_COMPLIANCE, 0.0]),
-        step=np.array([RELATIVE_STEP, 0.05]) * scale,
-        values=lambda x: {"stiffness_Nm_per_rad": 1.0 / x[0], "damping_Nms_per_rad": x[1] / x[0]},
-    )
+    step, lower = np.array([RELATIVE_STEP, 0.05]) * scale, np.array([LEAST_COMPLIANCE, 0.0])
+    return Block("gear", joint, start, step, scale, apply, values, lower=lower, prepare=prepare, absent=old is None)
 
 
 def sensor_delay(arm: MujocoArm, channel: str) -> Block:
@@ -175,7 +174,7 @@ def servo_gains(arm: MujocoArm, joint: str) -> Block:
     old = arm.spec.actuators[number]
     start = np.array([-float(old.biasprm[1]), -float(old.biasprm[2])])
     scale = np.maximum(start, [1.0, 0.01 * start[0]])
-    return _block("servo_gains", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, ("kp", "kv"))
+    return Block("servo_gains", joint, start, RELATIVE_STEP * scale, 0.3 * scale, apply, _named("kp", "kv"))
 
 
 def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: float = 0.3) -> Block:
@@ -192,7 +191,7 @@ def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: f
 
     def matrix(x: np.ndarray) -> np.ndarray:
         E = np.zeros((4, 4))
-        E[rows, columns] = np.where(diagonal, np.exp(np.clip(x, -20, 20)), x)
+        E[rows, columns] = np.where(diagonal, np.exp(np.clip(x, -LARGEST_LOG, LARGEST_LOG)), x)
         return L @ E @ E.T @ L.T
 
     def apply(spec: Any, x: np.ndarray) -> None:
@@ -208,19 +207,8 @@ def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: f
     back = np.linalg.solve(L, np.linalg.cholesky(nominal))
     origin = back[rows, columns]
     origin[diagonal] = np.log(origin[diagonal])
-    bound = np.full(10, 20.0)
-    return Block(
-        name="inertia",
-        where=body,
-        start=origin,
-        lower=-bound,
-        upper=bound,
-        step=np.full(10, RELATIVE_STEP),
-        sigma=np.full(10, sigma),
-        apply=apply,
-        values=values,
-        first=np.zeros(10),
-    )
+    step, spread, first = (np.full(10, value) for value in (RELATIVE_STEP, sigma, 0.0))
+    return Block("inertia", body, origin, step, spread, apply, values, lower=-LARGEST_LOG, upper=LARGEST_LOG, first=first)
 
 
 def pseudo_inertia(spec: Any, body: str) -> np.ndarray:
@@ -275,39 +263,13 @@ def _delay(name: str, where: str, arm: MujocoArm, each: Callable[[Any], list[Any
         for element in each(spec):
             element.delay = _possible_delay(x[0], arm.timestep_s)
 
+    def values(x: np.ndarray) -> Values:
+        return {"delay_s": _possible_delay(x[0], arm.timestep_s)}
+
     known = [float(getattr(element, "delay", 0.0)) for element in each(arm.spec)]
-    return Block(
-        name=name,
-        where=where,
-        start=np.array(known[:1] or [0.0]),
-        lower=np.zeros(1),
-        upper=np.array([LONGEST_DELAY_S]),
-        step=np.array([DELAY_STEP * arm.timestep_s]),
-        sigma=np.array([LONGEST_DELAY_S]),
-        apply=apply,
-        values=lambda x: {"delay_s": _possible_delay(x[0], arm.timestep_s)},
-        prepare=prepare,
-    )
+    start, step, sigma = (np.array([value]) for value in (known[0] if known else 0.0, DELAY_STEP * arm.timestep_s, LONGEST_DELAY_S))
+    return Block(name, where, start, step, sigma, apply, values, upper=LONGEST_DELAY_S, prepare=prepare)
 
 
-def _block(
-    name: str,
-    where: str,
-    start: np.ndarray,
-    step: np.ndarray,
-    sigma: np.ndarray,
-    apply: Callable[[Any, np.ndarray], None],
-    names: Sequence[str],
-    lower: float = 0.0,
-) -> Block:
-    return Block(
-        name=name,
-        where=where,
-        start=start,
-        lower=np.full(len(start), lower),
-        upper=np.full(len(start), np.inf),
-        step=step,
-        sigma=sigma,
-        apply=apply,
-        values=lambda x: dict(zip(names, (float(v) for v in x), strict=True)),
-    )
+def _named(*names: str) -> Callable[[np.ndarray], Values]:
+    return lambda x: dict(zip(names, x.tolist(), strict=True))

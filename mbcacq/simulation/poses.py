@@ -35,15 +35,9 @@ def observations_of_model(recorded: Observations, arm: MujocoArm) -> Observation
         raise ConfigError(f"the recording has {robot.n} axes, {arm.path} has {arm.n}; give the model of the recorded arm")
     check_recordings(arm, [Trajectory(arm.robot, np.arange(len(recorded.q), dtype=float), recorded.q)])
     given, base = arm.imported.T_flange_given, se3.inverse(arm.imported.T_given_base)
-    own = replace(
-        arm.robot,
-        payload_mass=robot.payload_mass,
-        payload_com=se3.apply(given, robot.payload_com),
-        repeatability_mm=robot.repeatability_mm,
-        gear_ratio=robot.gear_ratio,
-        drives=robot.drives,
-        mass=arm.robot.mass if arm.robot.mass.any() else robot.mass,
-    )
+    own = replace(arm.robot, payload_mass=robot.payload_mass, payload_com=se3.apply(given, robot.payload_com), drives=robot.drives)
+    mass = arm.robot.mass if arm.robot.mass.any() else robot.mass
+    own = replace(own, repeatability_mm=robot.repeatability_mm, gear_ratio=robot.gear_ratio, mass=mass)
     stations = tuple(s if s.T_base_station is None else replace(s, T_base_station=base @ s.T_base_station) for s in recorded.cell.stations)
     cell = replace(recorded.cell, robot=own, T_flange_scanner=given @ recorded.cell.T_flange_scanner, stations=stations)
     return replace(recorded, cell=cell, q=recorded.q + windup(arm, arm.spec, recorded.q))

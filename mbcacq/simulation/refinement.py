@@ -48,18 +48,8 @@ class FittedBlock:
             slopes.append([(moved[name] - after[name]) / h for name in after])
         A = np.array(slopes)
         std = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", A, self.covariance, A), 0.0))
-        name, where = self.block.key
         return [
-            ModelParameter(
-                name=name,
-                where=where,
-                parameter=p,
-                before=float(before[p]),
-                after=float(after[p]),
-                std=float(s),
-                p_value=self.p_value,
-                named=self.named,
-            )
+            ModelParameter(*self.block.key, p, float(before[p]), float(after[p]), float(s), self.p_value, named=self.named)
             for p, s in zip(after, std, strict=True)
         ]
 

@@ -38,13 +38,8 @@ def observations_against(recorded: Observations, simulated: Observations) -> Obs
     keep = np.array([r is not None for r in rows], bool)
     if not keep.any():
         raise ConfigError("the simulated set has none of the recorded balls at these poses; simulate the recorded stations and artefacts")
-    robot = replace(
-        recorded.cell.robot,
-        chain=cell.state.chain,
-        mass=simulated.cell.robot.mass,
-        com=simulated.cell.robot.com,
-        gravity=simulated.cell.robot.gravity,
-    )
+    other = simulated.cell.robot
+    robot = replace(recorded.cell.robot, chain=cell.state.chain, mass=other.mass, com=other.com, gravity=other.gravity)
     shift = np.array([r for r in rows if r is not None])
     return replace(_centres(recorded, keep), cell=replace(recorded.cell, robot=robot), xyz=recorded.xyz[keep] - shift)
 
@@ -114,13 +109,8 @@ def trajectory_against(recorded: Trajectory, simulated: Trajectory) -> Trajector
         )
     robot = replace(recorded.robot, chain=simulated.robot.chain, mass=simulated.robot.mass, com=simulated.robot.com)
     both = recorded.q_joint is not None and simulated.q_joint is not None
-    return replace(
-        recorded,
-        robot=robot,
-        torque=recorded.torque if simulated.torque is not None else None,
-        motor_torque=None,
-        current=None,
-        simulated_torque=simulated.torque,
-        q_joint=np.asarray(recorded.q_joint) - (np.asarray(simulated.q_joint) - simulated.q) if both else None,
-        q_set=None if simulated.q_set is None or recorded.q_set is None else simulated.q,
-    )
+    torque = recorded.torque if simulated.torque is not None else None
+    q_joint = np.asarray(recorded.q_joint) - (np.asarray(simulated.q_joint) - simulated.q) if both else None
+    q_set = None if simulated.q_set is None or recorded.q_set is None else simulated.q
+    own = replace(recorded, robot=robot, torque=torque, simulated_torque=simulated.torque, q_joint=q_joint, q_set=q_set)
+    return replace(own, motor_torque=None, current=None)

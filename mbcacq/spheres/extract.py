@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Artefact
 from mbcacq.spheres.candidates import sphere_candidates
 from mbcacq.spheres.fit import SphereFit, rough_fits, sphere_fits
-from mbcacq.spheres.found import FoundSpheres, SphereOptions
+from mbcacq.spheres.found import FoundSpheres, Refusals, SphereOptions
 from mbcacq.spheres.naming import identify_spheres
 from mbcacq.spheres.recognise import size_classes
 from mbcacq.spheres.voxels import Patches, Voxels, patches, voxelise
@@ -41,7 +40,7 @@ def find_spheres(
     _check(artefact, expected, predicted)
     columns = _finite(points)
     fits: list[tuple[float, SphereFit]] = []
-    refused: list[tuple[str, np.ndarray | None]] = []
+    refused: Refusals = []
     surface = None
     if columns.shape[1] >= options.min_points:
         surface = Surface(columns, artefact.diameters.min() / 2)
@@ -93,7 +92,7 @@ def _fit_all(surface: Surface, artefact: Artefact, options: SphereOptions):
         return [], []
     clouds = [cloud for cloud, keep in zip(clouds, close, strict=True) if keep]
     fits: list[tuple[float, SphereFit]] = []
-    refused: list[tuple[str, np.ndarray | None]] = []
+    refused: Refusals = []
     found = sphere_fits(clouds, centres[close], radii[close], view, options.max_incidence, options.max_noise)
     for radius, fit in zip(radii[close], found, strict=True):
         if fit is None or any(np.linalg.norm(fit.centre - other.centre) < 0.5 * radius for _, other in fits):
@@ -115,16 +114,7 @@ def _with_own_diameters(found: FoundSpheres, surface: Surface, artefact: Artefac
     view = None if options.view is None else np.asarray(options.view, dtype=float) / np.linalg.norm(options.view)
     fits = sphere_fits(surface.near_shells(found.xyz, own, 0.12 * own), found.xyz, own, view, options.max_incidence, options.max_noise)
     kept = [k for k, fit in enumerate(fits) if fit is not None]
-    again = [fit for fit in fits if fit is not None]
-    return replace(
-        found,
-        ball=found.ball[kept],
-        xyz=np.array([f.centre for f in again]).reshape(-1, 3),
-        n_points=np.array([f.n_points for f in again], dtype=int),
-        rms_mm=np.array([f.rms_mm for f in again]),
-        covariance=np.array([f.covariance for f in again]).reshape(-1, 3, 3),
-        radius_error_mm=np.array([f.radius_error for f in again]),
-    )
+    return FoundSpheres.of(found.ball[kept].tolist(), [fit for fit in fits if fit is not None], found.refused)
 
 
 def _judge(fit: SphereFit, radius: float, options: SphereOptions) -> tuple[str | None, bool]:

@@ -23,7 +23,7 @@ VIEW_ROUNDS, MAX_ROUNDS = 4, 20
 MIN_POINTS = 8
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SphereFit:
     """centre (3,) mm; covariance (3, 3) mm^2; noise_mm: estimated sigma of a point; rms_mm and n_points: of the points used.
 
@@ -75,9 +75,11 @@ def sphere_fits(
     work = _Work(clouds)
     ceiling = np.full(len(radii), max_noise)
     gate = TUKEY * ceiling
-    if view is None:
-        centres, gate, view = _view_from_caps(work, centres, radii, gate, ceiling)
-    centres, state = _converged(work, centres, radii, gate, ceiling, view, np.cos(max_incidence))
+    if view is None:  # towards the scanner the caps bulge
+        centres, gate, state = _iterated(work, centres, radii, gate, ceiling, None, -1.0)
+        bulge = np.sum(np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2, axis=0)
+        view = np.asarray(bulge / (np.linalg.norm(bulge) or 1.0))
+    centres, _, state = _iterated(work, centres, radii, gate, ceiling, view, np.cos(max_incidence))
     fits, disk = [], _across(view) / np.sin(max_incidence)
     for j in range(len(radii)):
         used = np.flatnonzero(state.w[j])
@@ -87,28 +89,13 @@ def sphere_fits(
     return fits
 
 
-def _view_from_caps(
-    work: _Work, centres: np.ndarray, radii: np.ndarray, gate: np.ndarray, ceiling: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres after a few steps on all points, the gate (k,) mm reached, and the unit vector (3,) towards the scanner."""
-    noise, round_ = None, 0
-    while True:
-        state = work.step(centres, radii, gate, ceiling, noise, None, -1.0)
-        centres = centres + state.step
-        gate = np.minimum(gate, 4 * TUKEY * state.noise)
-        noise = state.noise if round_ == 1 else None
-        round_ += 1
-        if round_ == VIEW_ROUNDS:
-            break
-    caps = np.einsum("kin,kn->ki", state.u, state.w) / state.noise[:, None] ** 2
-    view = caps.sum(axis=0)
-    return centres, gate, view / (np.linalg.norm(view) or 1.0)
+def _iterated(
+    work: _Work, centres: np.ndarray, radii: np.ndarray, gate: np.ndarray, ceiling: np.ndarray, view: np.ndarray | None, limit: float
+) -> tuple[np.ndarray, np.ndarray, _State]:
+    """Centres, gate (k,) mm and state after Gauss-Newton steps until none moves a centre by more than a nanometre.
 
-
-def _converged(
-    work: _Work, centres: np.ndarray, radii: np.ndarray, gate: np.ndarray, ceiling: np.ndarray, view: np.ndarray, limit: float
-) -> tuple[np.ndarray, _State]:
-    """Gauss-Newton steps until none moves a centre by more than a nanometre; ``limit``: cosine of the largest incidence."""
+    A few steps where the view is not known: on all points. limit: cosine of the largest incidence.
+    """
     noise, round_ = None, 0
     while True:
         state = work.step(centres, radii, gate, ceiling, noise, view, limit)
@@ -118,8 +105,8 @@ def _converged(
         noise = None if round_ in (0, 2) else state.noise
         settled = round_ > 3 and np.max(np.sum(state.step**2, axis=1), initial=0.0) < 1e-12
         round_ += 1
-        if settled or round_ == MAX_ROUNDS:
-            return centres, state
+        if settled or round_ == (VIEW_ROUNDS if view is None else MAX_ROUNDS):
+            return centres, gate, state
 
 
 class _Work:
@@ -151,9 +138,7 @@ class _Work:
         distance += 1e-300
         offset /= distance[:, None]
         if noise is None:
-            median = [
-                np.partition(row, len(row) // 2)[len(row) // 2] if len(row) else 0.0 for row in (size[j][use[j]] for j in range(len(size)))
-            ]
+            median = [np.partition(r, len(r) // 2)[len(r) // 2] if len(r) else 0.0 for r in (size[j][use[j]] for j in range(len(size)))]
             noise = np.clip(1.4826 * np.array(median), NOISE_FLOOR_MM, ceiling)
         np.divide(f, (TUKEY * noise)[:, None], out=w)
         w *= w
@@ -178,16 +163,8 @@ def _summary(centre, u, f, w, normal, disk) -> SphereFit:
     free[:3, 3] = free[3, :3] = u @ w
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
     radius_error = float(inverse[3] @ np.append(u @ (w * f), w @ f))
-    return SphereFit(
-        centre=centre,
-        covariance=covariance,
-        noise_mm=float(np.sqrt(variance)),
-        rms_mm=float(np.sqrt(f @ f / len(f))),
-        n_points=len(f),
-        coverage=_coverage(disk @ u),
-        radius_error=radius_error,
-        radius_sigma=float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
-    )
+    noise, rms, radius_sigma = (float(np.sqrt(x)) for x in (variance, f @ f / len(f), variance * max(inverse[3, 3], 0.0)))
+    return SphereFit(centre, covariance, noise, rms, len(f), _coverage(disk @ u), radius_error, radius_sigma=radius_sigma)
 
 
 def _across(view: np.ndarray) -> np.ndarray:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbcacq.quantities import DEGREE
+from mbcacq.spheres.fit import SphereFit
 
 ROUGHNESS = 9.0  # times the noise of a centre: as the default's 0.08 mm to the 0.009 mm of the scanners it was chosen for
 CREDIBLE_SIGMAS = 6.0  # of a centre against its certificate: far in the tail of a normal distribution
+Refusals = list[tuple[str, np.ndarray | None]]  # reason and centre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +55,8 @@ class SphereOptions:
         if noise_mm is None:
             return cls()
         noise, usual = max(noise_mm), cls()
-        return cls(
-            max_noise=max(usual.max_noise, ROUGHNESS * noise),
-            centre_tolerance=max(usual.centre_tolerance, CREDIBLE_SIGMAS * noise),
-            centre_sigma=max(usual.centre_sigma, noise),
-        )
+        tolerance, most = max(usual.centre_tolerance, CREDIBLE_SIGMAS * noise), max(usual.max_noise, ROUGHNESS * noise)
+        return cls(max_noise=most, centre_tolerance=tolerance, centre_sigma=max(usual.centre_sigma, noise))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +87,20 @@ class FoundSpheres:
     rms_mm: np.ndarray
     covariance: np.ndarray
     radius_error_mm: np.ndarray
-    refused: list[tuple[str, np.ndarray | None]] = field(default_factory=list)
+    refused: Refusals = field(default_factory=list)
 
     @classmethod
-    def nothing(cls) -> FoundSpheres:
-        """No ball, as in a scan of a part."""
-        none = np.zeros(0)
-        places = {"xyz": np.zeros((0, 3)), "covariance": np.zeros((0, 3, 3))}
-        return cls(ball=np.zeros(0, int), n_points=np.zeros(0, int), rms_mm=none, radius_error_mm=none, **places)
+    def of(cls, balls: Sequence[int] = (), fits: Sequence[SphereFit] = (), refused: Refusals | None = None) -> FoundSpheres:
+        """Balls of these certificate ids, each with its fit; none of them, as in a scan of a part."""
+        return cls(
+            ball=np.array(balls, dtype=int),
+            xyz=np.array([f.centre for f in fits]).reshape(-1, 3),
+            n_points=np.array([f.n_points for f in fits], dtype=int),
+            rms_mm=np.array([f.rms_mm for f in fits]),
+            covariance=np.array([f.covariance for f in fits]).reshape(-1, 3, 3),
+            radius_error_mm=np.array([f.radius_error for f in fits]),
+            refused=refused or [],
+        )
 
     def __len__(self) -> int:
         return len(self.ball)

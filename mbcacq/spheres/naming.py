@@ -9,10 +9,8 @@ import numpy as np
 from mbcacq.errors import DeviceFault
 from mbcacq.model.cell import Artefact
 from mbcacq.spheres.fit import SphereFit
-from mbcacq.spheres.found import FoundSpheres, SphereOptions
+from mbcacq.spheres.found import FoundSpheres, Refusals, SphereOptions
 from mbcacq.spheres.recognise import Assignment, assignments, decided, prediction_distance, size_classes
-
-Refusals = list[tuple[str, np.ndarray | None]]
 
 
 def identify_spheres(
@@ -39,11 +37,12 @@ def identify_spheres(
     if chosen is None:
         reason = "its id is undecided: too few balls are in view, and no expected ball or predicted place decides"
         refused += [(reason, centre) for centre in centres]
-        return _found([], [], fits, artefact, refused)
+        return FoundSpheres.of(refused=refused)
     for i in sorted(set(range(len(centres))) - set(chosen.found.tolist())):
         refused.append((f"a ball of {2 * radii[i]:g} mm that does not belong to artefact '{artefact.id}'", centres[i]))
     order = np.argsort(chosen.certified)
-    found = _found(chosen.found[order], chosen.certified[order], fits, artefact, refused)
+    balls = [artefact.ball_ids[a] for a in chosen.certified[order]]
+    found = FoundSpheres.of(balls, [fits[i][1] for i in chosen.found[order]], refused)
     for ball in expected or ():
         if ball not in found.ball:
             found.refused.append((f"ball {ball} was expected and is not seen", None))
@@ -125,16 +124,3 @@ def _guess(artefact: Artefact, expected: Sequence[int] | None, predicted: np.nda
     for ball, place in zip(artefact.ball_ids if expected is None else expected, predicted, strict=True):
         out[artefact.ball_ids.index(ball)] = place
     return out
-
-
-def _found(indices, certified, fits, artefact: Artefact, refused: Refusals) -> FoundSpheres:
-    mine = [fits[i][1] for i in indices]
-    return FoundSpheres(
-        ball=np.array([artefact.ball_ids[a] for a in certified], dtype=int),
-        xyz=np.array([f.centre for f in mine]).reshape(-1, 3),
-        n_points=np.array([f.n_points for f in mine], dtype=int),
-        rms_mm=np.array([f.rms_mm for f in mine]),
-        covariance=np.array([f.covariance for f in mine]).reshape(-1, 3, 3),
-        radius_error_mm=np.array([f.radius_error for f in mine]),
-        refused=refused,
-    )

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.model.cell import Artefact
 from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 from mbcacq.spheres.extract import find_spheres
-from mbcacq.spheres.found import FoundSpheres, SphereOptions
+from mbcacq.spheres.found import FoundSpheres
 
 TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 
@@ -21,16 +21,9 @@ def read_cloud(path: str | Path) -> np.ndarray:
     return in_mm(path, found, found.unit or "mm")
 
 
-def centres_from_ply(
-    path: str | Path,
-    artefact: Artefact,
-    *,
-    expected: Sequence[int] | None = None,
-    predicted: np.ndarray | None = None,
-    options: SphereOptions | None = None,
-) -> FoundSpheres:
+def centres_from_ply(path: str | Path, artefact: Artefact) -> FoundSpheres:
     """``find_spheres`` on the cloud in a file (mm, scanner frame)."""
-    return find_spheres(read_cloud(path), artefact, expected=expected, predicted=predicted, options=options)
+    return find_spheres(read_cloud(path), artefact)
 
 
 def ply_content(columns: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> bytes:

@@ -26,10 +26,8 @@ class Assignment:
     mirrored: float
 
 
-def assignments(
-    centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, certified: np.ndarray, options: SphereOptions
-) -> list[Assignment]:
-    """All largest assignments of fitted centres (k, 3) to certified ones (B, 3), best rms first.
+def assignments(centres: np.ndarray, sigma: np.ndarray, allowed: np.ndarray, known: np.ndarray, options: SphereOptions) -> list[Assignment]:
+    """All largest assignments of fitted centres (k, 3) to known ones (B, 3), best rms first.
 
     sigma: (k,) mm uncertainty of each centre. allowed: (k, B) bool, which may be which (diameter, expectation).
     """
@@ -37,7 +35,7 @@ def assignments(
     if len(found) == 0:
         return []
     D_found = np.linalg.norm(centres[:, None] - centres, axis=2)
-    D_ball = np.linalg.norm(certified[:, None] - certified, axis=2)
+    D_ball = np.linalg.norm(known[:, None] - known, axis=2)
     wanted = D_ball[np.ix_(ball, ball)]
     tolerance = options.centre_tolerance + options.scale_tolerance * wanted + 5 * np.hypot(sigma[found][:, None], sigma[found])
     agree = np.abs(D_found[np.ix_(found, found)] - wanted) < tolerance
@@ -45,7 +43,7 @@ def assignments(
     result = []
     for clique in _largest_cliques(agree):
         i, a = found[clique], ball[clique]
-        result.append(Assignment(i, a, similarity_rms(certified[a], centres[i]), similarity_rms(certified[a], centres[i], mirror=True)))
+        result.append(Assignment(i, a, similarity_rms(known[a], centres[i]), similarity_rms(known[a], centres[i], mirror=True)))
     return sorted(result, key=lambda x: x.rms)
 
 

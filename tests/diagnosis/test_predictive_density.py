@@ -54,7 +54,7 @@ def test_an_effect_that_is_there_predicts_stations_left_out(large_plan):
     train, test = station < station.max(), station == station.max()
 
     plain, known = (
-        predictive_score.held_out_score(setup.linear, train, test, model, (), setup.noise)
+        predictive_score.HeldOutPrediction(setup.linear, train, test, model, (), setup.noise).score()
         for model in (NO_EFFECTS, EffectSet((Member(elastic, None),)))
     )
     assert known.chi2 < plain.chi2 - 10
@@ -73,7 +73,7 @@ def test_scores_by_shared_products_are_those_of_each_model_by_itself(plan):
 
     for number, (model, random) in enumerate(models):
         test = left_out[number][linear.obs.pose]
-        alone = predictive_score.held_out_score(linear, linear.keep & ~test, linear.keep & test, model, random, setup.noise)
+        alone = predictive_score.HeldOutPrediction(linear, linear.keep & ~test, linear.keep & test, model, random, setup.noise).score()
         shared = products.held_out(number, model, random, setup.noise).score()
         assert (shared.square, shared.chi2, shared.dof) == pytest.approx((alone.square, alone.chi2, alone.dof), rel=1e-9)
     assert fit.posterior.solution == pytest.approx(JointModel(linear, other, (), fit.whiten).posterior.solution, rel=1e-6)

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "mbcacq"
 METHOD = (ROOT / "docs" / "explanation" / "method.md").read_text()
 ARCHITECTURE = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
-PAGES = {"_calibrate": "calibration/calibrate.py", "adjust": "estimation/adjustment.py", "_diagnose": "diagnosis/diagnose.py"}
+PAGES = {"_calibrate": "calibration/calibrate.py", "adjust": "estimation/adjustment.py", "diagnose": "diagnosis/diagnose.py"}
 
 
 def table_of(function: str) -> list[str]:

@@ -17,11 +17,12 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
+MOST_STEPS, SETTLED = 50, 1e-9  # steps, and the share of the cost that the last of them still gains
 UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unobservable
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Identified:
     """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
     the noise of ``propagation``, zero in the directions ``unobservable`` (g, u), unit vectors; free: (5 n + 6,) bool."""
@@ -38,15 +39,7 @@ class Identified:
 
 
 def identify(
-    chain: Chain,
-    hand_eye: np.ndarray,
-    obs: Observations,
-    distances: PairDistances,
-    free: np.ndarray,
-    measured: Measured | None = None,
-    *,
-    limit: int = 50,
-    tolerance: float = 1e-9,
+    chain: Chain, hand_eye: np.ndarray, obs: Observations, distances: PairDistances, free: np.ndarray, measured: Measured | None = None
 ) -> Identified:
     """From the centres of ``obs`` and their certified ``distances``. free: (5 n + 6,) bool, MD-H row by row, then the hand-eye twist.
 
@@ -57,7 +50,7 @@ def identify(
     residual, J = _linearise(chain, hand_eye, obs, distances, free)
     before = cost = float(residual @ residual)
     iterations = 0
-    while iterations < limit:
+    while iterations < MOST_STEPS:
         iterations += 1
         A = scale[:, None] * (J.T @ J) * scale
         b = scale * (J.T @ residual)
@@ -75,7 +68,7 @@ def identify(
             continue
         gained = cost - new
         (chain, hand_eye), residual, J, cost, damping = moved, trial, J_trial, new, max(damping / 10, 1e-12)
-        if gained < tolerance * cost:
+        if gained < SETTLED * cost:
             break
     value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
     observable = value > UNOBSERVABLE * value[-1]
@@ -83,18 +76,8 @@ def identify(
     measured = measured or Measured(np.full(3, 0.02))
     covariance, noise = propagate(chain, hand_eye, obs, distances, J, residual, inverse=inverse, measured=measured)
     unobservable = scale[:, None] * vector[:, ~observable]
-    count = max(len(residual), 1)
-    return Identified(
-        chain=chain,
-        T_flange_scanner=hand_eye,
-        rms_before=np.sqrt(before / count),
-        rms_after=np.sqrt(cost / count),
-        covariance=covariance,
-        noise=noise,
-        unobservable=unobservable / np.linalg.norm(unobservable, axis=0),
-        free=free,
-        iterations=iterations,
-    )
+    unobservable, rms = unobservable / np.linalg.norm(unobservable, axis=0), np.sqrt(np.array([before, cost]) / max(len(residual), 1))
+    return Identified(chain, hand_eye, rms[0], rms[1], covariance, noise, unobservable, free=free, iterations=iterations)
 
 
 def _linearise(

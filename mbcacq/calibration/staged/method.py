@@ -44,18 +44,9 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
     layout = published_layout(obs, options)
     at = constraint(where, options.pairs)
     found = identify(where, first, at, layout, options, measured)
-    stages = [
-        *stages,
-        *more,
-        {
-            "stage": "distance constraint (Eq. 13-24)",
-            "pairs_of_balls": options.pairs,
-            "distances": len(at.a),
-            "iterations": found.iterations,
-            "rms_distance_before_mm": found.rms_before,
-            "rms_distance_after_mm": found.rms_after,
-        },
-    ]
+    figures = {"pairs_of_balls": options.pairs, "distances": len(at.a), "iterations": found.iterations}
+    figures |= {"rms_distance_before_mm": found.rms_before, "rms_distance_after_mm": found.rms_after}
+    stages = [*stages, *more, {"stage": "distance constraint (Eq. 13-24)", **figures}]
     state = with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
     return _as_cell(obs, options, layout, state, first, found, stages)
 
@@ -122,18 +113,8 @@ def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCel
     at = system(lineariser, Estimate(state), found.noise, weights)
     rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = at.whitened_residual
-    fit = ObservationFit(
-        observations=obs,
-        options=options,
-        coefficients=(),
-        station_covariance=np.zeros((len(obs.cell.stations), 6, 6)),
-        weights=weights,
-        residual=at.residual,
-        whitened=whitened,
-        chi2=float(np.sum(whitened**2)),
-        dof=whitened.size - rank,
-        rank=rank,
-        iterations=found.iterations,
-    )
+    chi2, dof, covariance = float(np.sum(whitened**2)), whitened.size - rank, np.zeros((len(obs.cell.stations), 6, 6))
+    of = obs, options, (), covariance, weights, at.residual
+    fit = ObservationFit(*of, whitened, chi2=chi2, dof=dof, rank=rank, iterations=found.iterations)
     estimate = CellEstimate(state=state, layout=layout, covariance=found.covariance, noise=found.noise)
     return CalibratedCell.fitted(fit, estimate, first, {"stages": stages})

@@ -171,13 +171,8 @@ def propagate(
     q, pose = obs.q, obs.pose
     frames, T, point, _, u = points_and_directions(chain, hand_eye, obs, at)
     rows, count = np.arange(len(at.a)), len(pose)
-    D = csr_array(
-        (
-            np.concatenate([u, -u]).ravel(),
-            (np.repeat(np.concatenate([rows, rows]), 3), (3 * np.concatenate([at.a, at.b])[:, None] + np.arange(3)).ravel()),
-        ),
-        shape=(len(rows), 3 * count),
-    )
+    at_centre = (3 * np.concatenate([at.a, at.b])[:, None] + np.arange(3)).ravel()
+    D = csr_array((np.concatenate([u, -u]).ravel(), (np.repeat(np.tile(rows, 2), 3), at_centre)), shape=(len(rows), 3 * count))
     S = (D.T @ J).reshape(count, 3, -1)
     weight = np.zeros((count, 3, 3))
     square = u[:, :, None] * u[:, None, :]

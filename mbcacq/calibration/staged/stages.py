@@ -42,19 +42,11 @@ def adjust_angles(obs: Observations) -> tuple[Observations, list[dict], list[np.
     adjusted = replace(obs, xyz=xyz)
     moved = np.sqrt(np.mean(np.sum((xyz - obs.xyz) ** 2, axis=1)))
     largest = max(curves, key=lambda c: c[0])[1] if curves else None
-    stage = {
-        "stage": "angle adjustment (Eq. 8-12)",
-        "rms_correction_mm": float(moved),
-        "rms_shape_before_mm": shape_error(obs),
-        "rms_shape_after_mm": shape_error(adjusted),
-    }
+    stage = {"stage": "angle adjustment (Eq. 8-12)", "rms_correction_mm": float(moved)}
+    stage |= {"rms_shape_before_mm": shape_error(obs), "rms_shape_after_mm": shape_error(adjusted)}
     if largest is not None:
-        stage["l_curve"] = {
-            "ridge": largest.ridge.tolist(),
-            "misfit_rad": largest.misfit.tolist(),
-            "size_mm": largest.size.tolist(),
-            "corner": largest.corner,
-        }
+        curve = {"ridge": largest.ridge, "misfit_rad": largest.misfit, "size_mm": largest.size}
+        stage["l_curve"] = {**{name: values.tolist() for name, values in curve.items()}, "corner": largest.corner}
     return adjusted, [stage], smoother
 
 
@@ -83,12 +75,8 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
                 "the poses do not determine a first hand-eye transform for the paper's method; record its translations "
                 "and orientations, or turn the scanner about two axes by 20° and more at a position"
             )
-        return found, [
-            {
-                "stage": "hand-eye from fixed points (no translation and orientation phases recorded)",
-                "rms_virtual_point_mm": point_spread(obs, found),
-            }
-        ]
+        stage = "hand-eye from fixed points (no translation and orientation phases recorded)"
+        return found, [{"stage": stage, "rms_virtual_point_mm": point_spread(obs, found)}]
     T, virtual = virtual_point(obs, obs.phase == "translation")
     R = rotation_from_translations(T, virtual)
     T_turned, virtual_turned = virtual_point(obs, obs.phase == "orientation")
@@ -96,15 +84,12 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
     X = se3.transform(R, t)
     guess = obs.cell.T_flange_scanner
     turned = se3.rotation_log(guess[:3, :3].T @ R)
+    before, after = (_spread(T_turned @ one, virtual_turned) for one in (guess, X))
+    moved = float(np.linalg.norm(t - guess[:3, 3]))
+    changed = {"change_mm": moved, "rms_virtual_point_before_mm": before, "rms_virtual_point_after_mm": after}
     return X, [
         {"stage": "hand-eye rotation from translations (Eq. 7)", "poses": len(T), "change_deg": float(in_degrees(np.linalg.norm(turned)))},
-        {
-            "stage": "hand-eye translation from orientations",
-            "poses": len(T_turned),
-            "change_mm": float(np.linalg.norm(t - guess[:3, 3])),
-            "rms_virtual_point_before_mm": _spread(T_turned @ guess, virtual_turned),
-            "rms_virtual_point_after_mm": _spread(T_turned @ X, virtual_turned),
-        },
+        {"stage": "hand-eye translation from orientations", "poses": len(T_turned), **changed},
     ]
 
 

@@ -67,7 +67,7 @@ class Budget:
     limit_mm: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Decision:
     """One look and what follows from it.
 
@@ -170,20 +170,10 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
     obs = look.problem.linear.obs
     moves, seconds = effort(grown, obs)
     hiding = look.hiding(budget.limit_mm)
-    sizes = {e.label: e.in_typical_sizes for e in look.limited}
-    made = Decision(
-        number=number,
-        poses=obs.n_poses,
-        moves=moves,
-        seconds=seconds,
-        verdict=look.verdict,
-        log_e_value=look.full.evidence.log_e_value,
-        sets=_sets(look),
-        excluded=1.0 - sum(hiding.values()),
-        reasons=(),
-        further=look.further_odds,
-        hiding=tuple((label, min(sizes[label], LARGEST)) for label in sorted(hiding, key=lambda one: -hiding[one])),
-    )
+    sizes, log_e = {e.label: e.in_typical_sizes for e in look.limited}, look.full.evidence.log_e_value
+    hidden = tuple((label, min(sizes[label], LARGEST)) for label in sorted(hiding, key=lambda one: -hiding[one]))
+    about = Decision(number, obs.n_poses, moves, seconds, look.verdict, log_e, _sets(look), excluded=1.0 - sum(hiding.values()), reasons=())
+    made = replace(about, further=look.further_odds, hiding=hidden)
     known = sure(look)
     if known and made.excluded >= OPTIONS.excluded:
         return replace(made, end=_known(look, made))

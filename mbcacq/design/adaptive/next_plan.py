@@ -66,13 +66,11 @@ class NextPoses:
     def advice(self) -> tuple[Advice, ...]:
         """One piece of advice for each visit."""
         why = "; ".join(self.reasons[:MOST_NAMED])
-        return tuple(
-            Advice(
-                f"{why}: measure {len(v.poses)} poses at station {v.station}",
-                tuple(tuple(float(a) for a in in_degrees(p.q).round(DIGITS)) for p in v.poses),
-            )
-            for v in self.visits
-        )
+        out = []
+        for v in self.visits:
+            angles = tuple(tuple(in_degrees(p.q).round(DIGITS).tolist()) for p in v.poses)
+            out.append(Advice(f"{why}: measure {len(v.poses)} poses at station {v.station}", angles))
+        return tuple(out)
 
 
 def set_in_words(labels: Sequence[str]) -> str:

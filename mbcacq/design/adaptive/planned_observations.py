@@ -43,18 +43,9 @@ def continued(obs: Observations, state: CellState, poses: Sequence[PlannedPose],
             by_pose[name] = np.concatenate([values, own[name] if name in OWN else values[nearest]])
     temperatures = {name: np.concatenate([T, T[nearest] if len(T) else T]) for name, T in obs.temperatures.items()}
     rotation = None if obs.rotation is None else np.concatenate([obs.rotation, np.tile(np.eye(3), (len(balls), 1, 1))])
-    whole = replace(
-        obs,
-        **by_pose,
-        temperatures=temperatures,
-        pose=np.concatenate([obs.pose, obs.n_poses + pose]),
-        ball=np.concatenate([obs.ball, balls]),
-        xyz=np.concatenate([obs.xyz, np.zeros((len(balls), 3))]),
-        rotation=rotation,
-        n_points=None,
-        rms_mm=None,
-        covariance=None,
-        extra={},
-    )
+    pose, ball = np.concatenate([obs.pose, obs.n_poses + pose]), np.concatenate([obs.ball, balls])
+    xyz = np.concatenate([obs.xyz, np.zeros((len(balls), 3))])
+    whole = replace(obs, **by_pose, temperatures=temperatures, pose=pose, ball=ball, xyz=xyz, rotation=rotation)
+    whole = replace(whole, n_points=None, rms_mm=None, covariance=None, extra={})
     predicted = forward_model.predict(whole, state).xyz
     return replace(whole, xyz=np.concatenate([obs.xyz, predicted[obs.n_centres :]]))

@@ -48,7 +48,7 @@ class SetComparison:
         return own - np.sum(across * taken, axis=-1)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Questions:
     """sets: sets of effects that are not excluded. columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects
     that could hide, by weights and names (K - pairs,). aim: log odds between sets to be expected after the measurement.
@@ -105,16 +105,8 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
     sets, comparisons, columns = ((), (), []) if look is None else _sets(look, linear)
     pairs = sum(c.shape[2] for c in columns)
     names, weights, hidden = _hidden(look, linear, timeless)
-    shape = (*linear.residual.shape, 0)
-    return Questions(
-        sets=tuple(sets),
-        comparisons=tuple(comparisons),
-        columns=np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
-        pairs=pairs,
-        weights=np.array(weights),
-        names=tuple(names),
-        aim=options.enough + options.spare,
-    )
+    every, aim = np.concatenate([np.zeros((*linear.residual.shape, 0)), *columns, *hidden], axis=2), options.enough + options.spare
+    return Questions(tuple(sets), tuple(comparisons), every, pairs, np.array(weights), tuple(names), aim)
 
 
 def surviving(look: InterimEvidence) -> list[Hypothesis]:

@@ -261,17 +261,15 @@ def _linearised(look: InterimEvidence, pool: Sequence[PlannedPose], stations: Se
     return LinearProblem.of(continued(obs, state, pool), state)
 
 
-def predicted(
-    measured: MeasuredInformation, ahead: InformationBlocks, differences: np.ndarray
-) -> tuple[MeasuredInformation, InformationBlocks]:
+def predicted(measured: MeasuredInformation, ahead: InformationBlocks, apart: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
     """The same, with the columns (indices) by which two fits differ as the difference of their predictions for the poses ahead. Each fit
     has its own geometry, and both rest on the measured poses.
     """
     B, products, E = measured.B.copy(), measured.products.copy(), ahead.E.copy()
-    E[:, :, differences] -= ahead.Z @ np.linalg.solve(measured.N, B[:, differences])
-    B[:, differences] = 0.0
-    products[differences] = 0.0
-    products[:, differences] = 0.0
+    E[:, :, apart] -= ahead.Z @ np.linalg.solve(measured.N, B[:, apart])
+    B[:, apart] = 0.0
+    products[apart] = 0.0
+    products[:, apart] = 0.0
     return MeasuredInformation(measured.N, B, products), InformationBlocks(ahead.Z, E)
 
 

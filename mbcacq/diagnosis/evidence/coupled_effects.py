@@ -67,13 +67,15 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
     return together(*carriers, coupling.candidates(context, known, covariance, complete=True)[0])
 
 
+def through(hypothesis: Hypothesis, coupling: EffectCoupling, solved: EffectSet) -> dict[Where, float]:
+    """Location -> coefficient of each effect of a set through which a coupled one shows."""
+    at = zip(hypothesis.members, solved.slices(), strict=True)
+    return {m.candidate.where: float(solved.coefficients[p.start]) for m, p in at if m.candidate.name == coupling.through}
+
+
 def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: EffectSet | None = None) -> Mapping[Where, float]:
     """Location -> coefficient of the effect through which a coupled one shows, to four digits; none below a share of the largest."""
     solved = known or hypothesis.solved
-    found = {
-        m.candidate.where: float(solved.coefficients[p.start])
-        for m, p in zip(hypothesis.members, solved.slices(), strict=True)
-        if m.candidate.name == coupling.through
-    }
+    found = through(hypothesis, coupling, solved)
     least = max(OPTIONS.undecided * max(found.values()), 1e-9)  # a loaded joint gives way: none is that much stiffer than another
     return {where: float(f"{max(value, least):.4g}") for where, value in found.items()}

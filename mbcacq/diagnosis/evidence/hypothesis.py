@@ -42,7 +42,6 @@ class EvidencePoint(Protocol):
 
     def extended(self, members: Sequence[Member]) -> Any:
         """The rows with effects, as far as that does not depend on the noise."""
-        ...
 
     def with_effects(self, extended: Any) -> NormalSystem:
         """The normal equations of these effects."""
@@ -50,7 +49,6 @@ class EvidencePoint(Protocol):
 
     def conditioned(self, members: Sequence[Member]) -> Any:
         """The problem with these effects, each at its most probable size, in place; further candidates are scored in it."""
-        ...
 
     def solved(self, members: Sequence[Member]) -> EffectSet:
         """These effects with the posterior of their coefficients, each at its most probable size, everything else integrated out."""
@@ -62,7 +60,6 @@ class EvidencePoint(Protocol):
 
     def forget(self) -> None:
         """Give back the memory of what is computed again where it is asked for."""
-        ...
 
 
 P = TypeVar("P", bound=EvidencePoint)

@@ -15,7 +15,7 @@ from mbcacq.diagnosis.evidence.candidate_evidence import (
     evidence_of_one,
     scanned_candidate,
 )
-from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through, through
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, under
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
@@ -139,13 +139,9 @@ class PoseSearch(EvidenceSearch):
         possible = [c for c in catalogue.couplings() if c.through in names]
         if not possible:
             return []
-        found, out = node.solved, list[Candidate]()
+        out = list[Candidate]()
         for coupling in possible:
-            there = {
-                m.candidate.where: float(f"{found.coefficients[p.start]:.2g}")
-                for m, p in zip(node.members, found.slices(), strict=True)
-                if m.candidate.name == coupling.through
-            }
+            there = {where: float(f"{value:.2g}") for where, value in through(node, coupling, node.solved).items()}
             there |= given_through(self.given, coupling)
             out += coupling.candidates(self.context, there)
         return out
@@ -196,9 +192,7 @@ class PoseSearch(EvidenceSearch):
         while True:
             present, node = [m.candidate for m in rest], best.point.conditioned(rest)
             further = [c for c in carriers if self.allowed(c, present)]
-            log, member = max(
-                (self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda one: one[0], default=(0.0, None)
-            )
+            log, member = max((self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda o: o[0], default=(0.0, None))
             if log <= 0 or member is None:
                 break
             rest = (*rest, member)

@@ -69,9 +69,7 @@ def entries(context: Context, location: Location) -> list[DictionaryEntry]:
         pairs = [*product(field, [*periodic, *(power(e, 2) for e in field)])]
     else:
         of_joints = [f"{kind}{tag}" for kind in ("direction_", "qd", "tau", "gravity_torque_") for tag in context.tags]
-        of_frame = [
-            f"{kind}_{axis}" for kind in (f"gravity_moment_{context.frame_tags[location.frame]}", "payload_force") for axis in FIELD
-        ]
+        of_frame = [f"{kind}_{a}" for kind in (f"gravity_moment_{context.frame_tags[location.frame]}", "payload_force") for a in FIELD]
         measured = [*slow(context), *varying(context, [*of_joints, "payload_kg", *of_frame])]
         highest = dict.fromkeys(angles, UNMODELLED.other_order) | {context.position(location.joint): UNMODELLED.few_order}
         plain = [*straight, *fading(context), *(harmonic(name, k) for name in angles for k in range(1, highest[name] + 1))]
@@ -150,9 +148,7 @@ def powers(context: Context, first: Iterable[DictionaryEntry]) -> list[Dictionar
 def power(one: DictionaryEntry, exponent: int) -> DictionaryEntry:
     """A linear function to a power."""
     columns = reduce(times, [one] * exponent).columns.values()
-    return DictionaryEntry(
-        f"{one.shape}^{exponent}", {f"{text}^{exponent}": column for text, column in zip(one.columns, columns, strict=True)}
-    )
+    return DictionaryEntry(f"{one.shape}^{exponent}", {f"{text}^{exponent}": of for text, of in zip(one.columns, columns, strict=True)})
 
 
 def times(a: DictionaryEntry, b: DictionaryEntry) -> DictionaryEntry:

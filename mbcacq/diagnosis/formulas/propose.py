@@ -23,7 +23,7 @@ from mbcacq.diagnosis.result import Proposal
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import summed
 from mbcacq.diagnosis.validation.folds import split
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
+from mbcacq.diagnosis.validation.predictive_score import HeldOutPrediction, PredictiveScore
 from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
@@ -70,7 +70,7 @@ class Setting:
         if formula is not None:
             effects.append(Member(candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
         model, noise = EffectSet(tuple(effects)), self.point.noise
-        return [held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts]
+        return [HeldOutPrediction(self.linear, train, test, model, random, noise).score() for train, test in self.parts]
 
 
 def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Sequence[PredictiveScore]) -> bool:
@@ -186,9 +186,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
         where=tuple(dict.fromkeys(p.location.name for p in formula.placed)),
         depends_on=formula.placed[0].term.covariates[0],
         parts=parts,
-        names=tuple(
-            f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each
-        ),
+        names=tuple(f"{part.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for part, text, unit in each),
         units=tuple(unit for _, _, unit in each),
         coefficients=values,
         std=np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),

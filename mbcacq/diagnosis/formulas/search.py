@@ -71,15 +71,8 @@ def described(placed: Sequence[PlacedTerm]) -> list[DescribedPart]:
 def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarray) -> Candidate:
     """The terms as one effect, whose coefficients have these typical sizes (k,)."""
     parts, first = described(placed), placed[0]
-    return Candidate(
-        NAME,
-        (first.location.name,),
-        first.term.covariates[0],
-        StandstillRows(parts, typical),
-        lambda c, v, h: {},
-        several=True,
-        variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
-    )
+    variant, rows = " + ".join(f"{p.label}{list(p.term.columns)}" for p in placed), StandstillRows(parts, typical)
+    return Candidate(NAME, (first.location.name,), first.term.covariates[0], rows, lambda c, v, h: {}, several=True, variant=variant)
 
 
 @dataclass(frozen=True)
@@ -102,9 +95,7 @@ class FormulaSpace:
             unit = values / np.sqrt(np.mean(values**2, axis=0))
             chosen = [term for term in terms if all(column in number for column in term.columns.values())]
             each = [unit[:, [number[column] for column in term.columns.values()]] for term in chosen]
-            shapes = [
-                Shape(term.shape, tuple(term.columns.values()), own, np.ones(own.shape[1])) for term, own in zip(chosen, each, strict=True)
-            ]
+            shapes = [Shape(t.shape, tuple(t.columns.values()), own, np.ones(own.shape[1])) for t, own in zip(chosen, each, strict=True)]
             groups.append(BlockGroup(location, shapes))
             term_of = dict(zip(map(id, shapes), chosen, strict=True))
             placed += [PlacedTerm(location, block.rows, term_of[id(block.shape)]) for block in groups[-1].blocks]

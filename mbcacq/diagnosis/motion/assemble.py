@@ -16,7 +16,7 @@ from mbcacq.diagnosis.findings import Advice, NotSeparable
 from mbcacq.diagnosis.motion.allowed_names import refused_name, response_shape
 from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.motion.residual_structure import residual_structure
+from mbcacq.diagnosis.motion.residual_structure import residual_structure, unnamed_effect
 from mbcacq.diagnosis.motion.result import (
     BodyInertia,
     ChannelEvidence,
@@ -136,16 +136,8 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Effe
 def _unmodelled(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray, runs: tuple[MotionSignals, ...]) -> EffectFound:
     """An effect whose name was refused."""
     on, shape = response_shape(table.fit, effect, runs)
-    return EffectFound(
-        name=UNKNOWN,
-        where=effect.candidate.where[-1:],
-        depends_on=on,
-        channel=table.fit.group.name,
-        parameters={},
-        p_value=effect.found.p_value,
-        held_out_gain=table.share(gain),
-        shape=shape,
-    )
+    where, p_value, channel = effect.candidate.where[-1:], effect.found.p_value, table.fit.group.name
+    return unnamed_effect(where, on, p_value, table.share(gain), channel, shape)
 
 
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MismatchEntry:
@@ -179,12 +171,8 @@ def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
     if not pairs:
         return []
     names = "; ".join(" and ".join(pair.effects) for pair in pairs)
-    return [
-        Advice(
-            f"{names} explain these recordings equally well: record a further motion with other speeds, more reversals and a wider range",
-            (),
-        )
-    ]
+    further = "record a further motion with other speeds, more reversals and a wider range"
+    return [Advice(f"{names} explain these recordings equally well: {further}", ())]
 
 
 def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[Advice]:

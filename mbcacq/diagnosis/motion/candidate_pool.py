@@ -15,7 +15,7 @@ from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
-from mbcacq.effects.motion_periods import OrderRange, periodic_component, range_of_orders
+from mbcacq.effects.motion_periods import periodic_component, range_of_orders
 
 
 def periodic_candidates(
@@ -27,30 +27,32 @@ def periodic_candidates(
     limits = None if effect is None else range_of_orders(effect[1].lowest_order, runs, joint)
     if effect is None or limits is None:
         return []
+    lowest, highest, spacing = limits
     q = np.concatenate([run.q[:, joint] for run in runs])
     observed = (float(q[training > 0].min()), float(q[training > 0].max()))
     power, orders = _power(q, residual * training, limits, NUMBERS.spectrum_oversampling)
     if len(power) < 3:
         return []
-    tried = (limits.highest - limits.lowest) / limits.spacing
+    tried = (highest - lowest) / spacing
     found = [(float(orders[i]), tried) for i in _strongest(power, NUMBERS.background_orders)]
     ratio = runs[0].gear_ratio
     motor_orders = [] if ratio is None else [turns * abs(float(ratio[joint])) for turns in (1, 2)]
     for motor_order in motor_orders:
-        near = np.flatnonzero(np.abs(orders - motor_order) <= limits.spacing)
+        near = np.flatnonzero(np.abs(orders - motor_order) <= spacing)
         if len(near):
             found.append((float(orders[near[np.argmax(power[near])]]), NUMBERS.motor_order_trials))
-    return [periodic_component(effect, joint, group.axes[joint], order, limits.spacing / 2, trials, observed) for order, trials in found]
+    return [periodic_component(effect, joint, group.axes[joint], order, spacing / 2, trials, observed) for order, trials in found]
 
 
-def _power(q: np.ndarray, residual: np.ndarray, limits: OrderRange, oversampling: int) -> tuple[np.ndarray, np.ndarray]:
+def _power(q: np.ndarray, residual: np.ndarray, limits: tuple[float, float, float], oversampling: int) -> tuple[np.ndarray, np.ndarray]:
     """Power of a residual (Ttot,) over the angle q, and its orders, both within the limits."""
-    step = 2 * np.pi / (limits.highest * oversampling)
+    lowest, highest, spacing = limits
+    step = 2 * np.pi / (highest * oversampling)
     bins = np.round((q - float(q.min())) / step).astype(int)
-    length = int(2 ** np.ceil(np.log2(max(oversampling * 2 * np.pi / limits.spacing / step, bins.max() + 2))))
+    length = int(2 ** np.ceil(np.log2(max(oversampling * 2 * np.pi / spacing / step, bins.max() + 2))))
     power = np.abs(np.fft.rfft(np.bincount(bins, residual, minlength=length), length)) ** 2
     orders = 2 * np.pi * np.arange(len(power)) / (length * step)
-    inside = (orders >= limits.lowest) & (orders <= limits.highest)
+    inside = (orders >= lowest) & (orders <= highest)
     return power[inside], orders[inside]
 
 
@@ -132,7 +134,7 @@ class CandidatePool:
 
     def _can_be_tested(self, refinement: Candidate, candidate: Candidate) -> bool:
         """A deviation that accumulates with time can only be tested on another motion, not on other moments of the same."""
-        several = len({s.run for s in self._model.store.segments}) >= 2
+        several = len({run for run, *_ in self._model.store.segments}) >= 2
         return not refinement.rows.shares_hyper or (several and candidate.hyper is not None and not candidate.hyper.refine)
 
 

@@ -33,18 +33,10 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
         np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints)], axis=2)
         for c, run in zip(inertial, runs, strict=True)
     )
-    return ChannelGroup(
-        "tau",
-        "N m",
-        joints,
-        tuple((t - r)[:, columns] for t, r in zip(torque, rigid, strict=True)),
-        tuple((_moving(run, fastest) & k)[:, columns] for run, k in zip(runs, inside, strict=True)),
-        base,
-        np.ones(base[0].shape[2]),
-        refit=False,
-        signal=tuple(t[:, columns] for t in torque),
-        axes=robot.axes,
-    )
+    mismatch = tuple((t - r)[:, columns] for t, r in zip(torque, rigid, strict=True))
+    use, prior = tuple((_moving(run, fastest) & k)[:, columns] for run, k in zip(runs, inside, strict=True)), np.ones(base[0].shape[2])
+    signal = tuple(t[:, columns] for t in torque)
+    return ChannelGroup("tau", "N m", joints, mismatch, use, base, prior, refit=False, signal=signal, axes=robot.axes)
 
 
 def _angles(name: str, runs: Runs, sign: float, robot: RobotModel, inside: tuple[np.ndarray, ...] | None = None) -> ChannelGroup | None:

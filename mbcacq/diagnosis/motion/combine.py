@@ -96,14 +96,9 @@ class PosesAndMotion:
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the document of a diagnosis that a motion adds (``BothInFile``)."""
-        joint = self.together
-        both = BothInFile(
-            given_motion=self.given,
-            motion=self.motion,
-            agreement=tuple(self.agreement),
-            decided=tuple(self.decided),
-            together=JointVerdict(verdict=self.verdict, **{f.name: getattr(joint, f.name) for f in fields(joint)}),
-        )
+        joint, agreement, decided = self.together, tuple(self.agreement), tuple(self.decided)
+        verdict = JointVerdict(verdict=self.verdict, **{f.name: getattr(joint, f.name) for f in fields(joint)})
+        both = BothInFile(given_motion=self.given, motion=self.motion, agreement=agreement, decided=decided, together=verdict)
         return fields_as_json(both)
 
     @cached_property

@@ -31,7 +31,7 @@ MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect
 TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Judged:
     """What the last comparison says of a selected effect. p_value: one over its Bayes factor in its set. before, after: held-out mean
     square (J,) without it and with it. alternatives: what else could stand in its place."""
@@ -91,15 +91,9 @@ class EffectSelection:
         shown = [that_show(tuple(forms), information) for forms in offered]
         candidates = [tuple(sized(one, prior, information) for one in forms) for forms in shown if forms]
         members = tuple(sized(e, prior, information) for e in model.selected)
-        self._colour = colour
-        self._search = search = MotionSearch(
-            candidates=candidates,
-            prior=SetPrior.of([forms[0].candidate for forms in candidates], 1, odds_of_common=ODDS_OF_COMMON),
-            alternatives=alternatives,
-            narrow=True,
-            settle=settle,
-            budget=self.budget,
-        )
+        of = SetPrior.of([forms[0].candidate for forms in candidates], 1, odds_of_common=ODDS_OF_COMMON)
+        search = MotionSearch(candidates=candidates, prior=of, alternatives=alternatives, narrow=True, settle=settle, budget=self.budget)
+        self._colour, self._search = colour, search
         alone = np.asarray(store.base, dtype=int)
         of_alone = model.weights(alone)
         # The start of the search matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
@@ -171,12 +165,9 @@ class EffectSelection:
             member = forms[effect.candidate.form]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
-            self.judged[effect.candidate.form] = Judged(
-                p_value=float(np.exp(-max(lost, 0.0))),
-                before=self._mean_square_without(effect, weights, normals),
-                after=after,
-                alternatives=[Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()],
-            )
+            others = [Alternative.of_label(*one) for one in alternatives_of(sets, reported, member.label).items()]
+            p_value, before = float(np.exp(-max(lost, 0.0))), self._mean_square_without(effect, weights, normals)
+            self.judged[effect.candidate.form] = Judged(p_value, before, after, others)
 
     def _mean_square_without(self, effect: Member, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         model, chosen = self.model, self.model.chosen(without=effect)

@@ -108,26 +108,16 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     spread = _covariance(model, weights, chosen, x, selection.pool)
     n = np.maximum(store.count.sum(axis=0), 1.0)
     found = bodies(model, chosen)
-    result = MotionFit(
-        group=model.group,
-        effects=_averaged(_effects(model, selection.judged, x, spread), selection.sets),
-        residual_before=residual_before,
-        residual_after=_residuals(model, chosen, x),
-        used=[[use[:, j] for use in model.group.use] for j in joints],
-        held_out_before=selection.start,
-        held_out_after=model.held_out_mean_square(chosen, model.fold_normals(weights)),
-        train_before=train_before / n,
-        train_after=store.errors(chosen, x) / n,
-        floor=model.floor,
-        split=store.split,
-        links=[[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints],
-        load_error=load_error(model, weights),
-        sets=selection.sets,
-        inertial=None if found is None else found.parameters(x),
-        load_alternatives=load_alternatives(model, selection.pool) if store.whole else [],
-    )
+    effects = _averaged(_effects(model, selection.judged, x, spread), selection.sets)
+    residuals, used = (residual_before, _residuals(model, chosen, x)), [[use[:, j] for use in model.group.use] for j in joints]
+    held = selection.start, model.held_out_mean_square(chosen, model.fold_normals(weights))
+    links = [[model.of_links(j, run, x) for run in range(len(model.runs))] for j in joints]
+    trained, error = (train_before / n, store.errors(chosen, x) / n), load_error(model, weights)
+    fit = MotionFit(model.group, effects, *residuals, used, *held, *trained, model.floor, split=store.split, links=links, load_error=error)
+    alternatives = load_alternatives(model, selection.pool) if store.whole else []
     selection.pool.forget_step()
-    return result
+    inertial = None if found is None else found.parameters(x)
+    return replace(fit, sets=selection.sets, inertial=inertial, load_alternatives=alternatives)
 
 
 def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
@@ -200,18 +190,10 @@ def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
         notes = [f"{candidate.hyper.name} is not determined: the best fit is at the end of what was tried, {limits}"]
-    found = EffectFound(
-        name=candidate.name,
-        where=candidate.where,
-        depends_on=candidate.depends_on,
-        channel=model.group.name,
-        parameters=parameters,
-        p_value=judged.p_value,
-        held_out_gain=0.0,
-        alternatives=tuple(judged.alternatives),
-        steps=(_step(model.group, candidate, parameters, judged),) if len(judged.before) else (),
-        notes=tuple(notes),
-    )
+    steps = (_step(model.group, candidate, parameters, judged),) if len(judged.before) else ()
+    found = EffectFound(name=candidate.name, where=candidate.where, parameters=parameters, p_value=judged.p_value, held_out_gain=0.0)
+    found = replace(found, depends_on=candidate.depends_on, channel=model.group.name, steps=steps, notes=tuple(notes))
+    found = replace(found, alternatives=tuple(judged.alternatives))
     contributions = _delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c)
     return FittedEffect(candidate, found, judged.before - judged.after, contributions)
 
@@ -237,13 +219,8 @@ def _step(group: ChannelGroup, candidate: Candidate, parameters: Parameters, jud
 def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     """An effect with one form more."""
     one, more = first.found, other.found
-    found = replace(
-        one,
-        parameters=joined_parameters((one.parameters, more.parameters)),
-        p_value=min(one.p_value, more.p_value),
-        steps=(*one.steps, *more.steps),
-        notes=(*one.notes, *more.notes),
-    )
+    parameters, p_value = joined_parameters((one.parameters, more.parameters)), min(one.p_value, more.p_value)
+    found = replace(one, parameters=parameters, p_value=p_value, steps=(*one.steps, *more.steps), notes=(*one.notes, *more.notes))
     added = zip(first.contributions, other.contributions, strict=True)
     contributions = [[a + b for a, b in zip(p, q, strict=True)] for p, q in added]
     return FittedEffect(first.candidate, found, first.gain + other.gain, contributions)
@@ -319,21 +296,8 @@ def motion_series(
             kept = fit.residual_before if (fit.group.name, at) in refused else fit.residual_after
             for k, (trajectory, run) in enumerate(zip(trajectories, runs, strict=True)):
                 measured = shown[k][:, j]
-                before, after = (
-                    scale * np.where(fit.used[j][k], measured - residual[j][k], np.nan) for residual in (fit.residual_before, kept)
-                )
+                before, after = (scale * np.where(fit.used[j][k], measured - left[j][k], np.nan) for left in (fit.residual_before, kept))
                 time = float(trajectory.time_s[0]) + run.step_s * np.arange(len(measured))
                 number = names.index(trajectory.name)
-                found.append(
-                    ChannelSeries(
-                        channel=fit.group.name,
-                        at=at,
-                        unit=unit,
-                        recording=number,
-                        time_s=time,
-                        measured=scale * measured,
-                        before=before,
-                        after=after,
-                    )
-                )
+                found.append(ChannelSeries(fit.group.name, at, unit, number, time, measured=scale * measured, before=before, after=after))
     return MotionSeries(trajectories[0].robot.name, names, tuple(found))

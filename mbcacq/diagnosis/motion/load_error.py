@@ -164,9 +164,7 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[NotSepara
     out, there = [], {e.candidate.location for e in model.selected}
     for name in dict.fromkeys(c.name for c in pool.candidates if c.rows.load_parameters):
         own = [e for e in model.selected if e.candidate.name == name and e.candidate.rows.usual]
-        variants = own or [
-            v for variants in pool.usual() for v in variants if v.candidate.name == name and v.candidate.location not in there
-        ]
+        variants = own or [v for forms in pool.usual() for v in forms if v.candidate.name == name and v.candidate.location not in there]
         compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.rows.sigma).all()]
         if compared:
             odds = float(np.mean([odds for odds, _ in compared]))

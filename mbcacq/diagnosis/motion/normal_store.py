@@ -8,7 +8,6 @@ the folds: what is fitted and what is predicted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,15 +28,7 @@ def shift_difference(signal: np.ndarray, step_s: float, delay_s: float) -> np.nd
 
 
 Part = list[tuple[int, slice]]  # stretches of recordings: (number of the run, samples)
-
-
-@dataclass(frozen=True)
-class NormalSegment:
-    """Samples of one run whose normal equations are kept together. fold: to which fold they belong while effects are selected."""
-
-    run: int
-    samples: slice
-    fold: int
+Segment = tuple[int, slice, int]  # the same, whose normal equations are kept together, and the fold they belong to in the selection
 
 
 def held_out_parts(runs: Sequence[MotionSignals]) -> tuple[list[Part], str]:
@@ -52,7 +43,7 @@ def held_out_parts(runs: Sequence[MotionSignals]) -> tuple[list[Part], str]:
     return [[(0, block)] for block in _blocks(slice(0, lengths[0]), NUMBERS.held_out_parts)], "time block"
 
 
-def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int | None = None) -> tuple[list[NormalSegment], str]:
+def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int | None = None) -> tuple[list[Segment], str]:
     """All segments, and the name of the split. held: number of a part that is left out altogether; learnt: number of the trajectories, the
     first ones, from which anything is learnt (None: all).
 
@@ -62,15 +53,15 @@ def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int
     remaining = [part for i, part in enumerate(parts) if i != held]
     by_trajectory = split == "trajectory" and len(remaining) > 1
     number = NUMBERS.interleaved_blocks if split == "trajectory" else NUMBERS.interleaved_blocks // NUMBERS.held_out_parts
-    out: list[NormalSegment] = []
+    out: list[Segment] = []
     for fold, part in enumerate(remaining):
         for run, samples in part:
             step = runs[run].step_s
             if by_trajectory:
-                out += [NormalSegment(run, s, fold) for s in _half_seconds(samples, step)]
+                out += [(run, s, fold) for s in _half_seconds(samples, step)]
                 continue
             for i, block in enumerate(_blocks(samples, number)):
-                out += [NormalSegment(run, s, i % NUMBERS.held_out_parts) for s in _half_seconds(block, step)]
+                out += [(run, s, i % NUMBERS.held_out_parts) for s in _half_seconds(block, step)]
     return out, split
 
 
@@ -115,14 +106,13 @@ class NormalStore:
         self.steps = [run.step_s for run in runs]
         self.lengths = [len(run.q) for run in runs]
         self.segments, self.split = segments(runs, held, learnt)
-        self.folds = sorted({s.fold for s in self.segments})
+        self._run, self._fold = (np.array([one[k] for one in self.segments]) for k in (0, 2))
+        self.folds = sorted(set(self._fold.tolist()))
         self._start = np.cumsum([0, *self.lengths])
-        self._slices = [slice(self._start[s.run] + s.samples.start, self._start[s.run] + s.samples.stop) for s in self.segments]
+        self._slices = [slice(self._start[r] + s.start, self._start[r] + s.stop) for r, s, _ in self.segments]
         self.training = np.zeros(self._start[-1])
         for samples in self._slices:
             self.training[samples] = 1.0
-        self._fold = np.array([s.fold for s in self.segments])
-        self._run = np.array([s.run for s in self.segments])
         joints = range(len(group.joints))
         self._use = [np.concatenate([u[:, j] for u in group.use]).astype(float) for j in joints]
         self.delay = 0.0

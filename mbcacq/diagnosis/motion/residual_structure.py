@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, stdtr
@@ -27,6 +27,12 @@ class Dependence:
     y: tuple[float, ...]
 
 
+def unnamed_effect(where: tuple[str, ...], on: str, p_value: float, gain: float, channel: str, shape: ResponseShape | None) -> EffectFound:
+    """What a channel shows without a name for it."""
+    of = EffectFound(name=UNKNOWN, where=where, depends_on=on, parameters={}, p_value=p_value, held_out_gain=gain)
+    return replace(of, channel=channel, shape=shape)
+
+
 def residual_structure(
     fit: MotionFit, j: int, runs: tuple[MotionSignals, ...], weight: float
 ) -> tuple[MismatchEntry | None, EffectFound | None]:
@@ -47,16 +53,8 @@ def residual_structure(
         p_value = float(chdtrc(segments, segments * mean_square / floor**2))
         return MismatchEntry(axis, "time", weight, p_value, channel=channel), None
     share = best.share * weight
-    effect = EffectFound(
-        name=UNKNOWN,
-        where=(axis,),
-        depends_on=best.covariate,
-        parameters={},
-        p_value=best.p_value,
-        held_out_gain=share,
-        channel=channel,
-        shape=ResponseShape(best.x, best.y),
-    )
+    shape = ResponseShape(best.x, best.y)
+    effect = unnamed_effect((axis,), best.covariate, best.p_value, share, channel, shape)
     return MismatchEntry(axis, best.covariate, share, best.p_value, channel=channel), effect
 
 

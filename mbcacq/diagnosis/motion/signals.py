@@ -45,28 +45,9 @@ def prepare(trajectory: Trajectory) -> tuple[MotionSignals, np.ndarray]:
     if q_set is not None and qd_set is not None and qdd_set is not None and robot.mass.any():
         smooth_set = rates(q_set, step, 0, NUMBERS.rate_window_s)
         rigid_set = _rigid(regressor(robot.chain, smooth_set, qd_set, qdd_set, robot.gravity), robot)
-    signals = MotionSignals(
-        step_s=step,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        direction=direction_of_rotation(q, step),
-        smooth=smooth,
-        q_set=q_set,
-        qd_set=qd_set,
-        qdd_set=qdd_set,
-        qddd_set=qddd_set,
-        q_joint=q_joint,
-        torque=torque,
-        load=rigid,
-        rigid=rigid,
-        gravity=gravity,
-        rigid_set=rigid_set,
-        payload=payload,
-        gear_ratio=robot.gear_ratio,
-        robot=robot,
-    )
-    return signals, inertial
+    run = MotionSignals(step, q, qd, qdd, direction_of_rotation(q, step), smooth, q_set, qd_set=qd_set, qdd_set=qdd_set, qddd_set=qddd_set)
+    run = replace(run, torque=torque, load=rigid, rigid=rigid, gravity=gravity, rigid_set=rigid_set, payload=payload)
+    return replace(run, q_joint=q_joint, gear_ratio=robot.gear_ratio, robot=robot), inertial
 
 
 def rates(signal: np.ndarray, step: float, derivative: int, window_s: float) -> np.ndarray:

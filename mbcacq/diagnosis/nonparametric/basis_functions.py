@@ -60,9 +60,7 @@ class Location:
     def described(self, rows: Sequence[int], columns: Sequence[Column]) -> list[DescribedPart]:
         """Some components by functions of the pose, or of the centre, component by component."""
         moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
-        return [
-            DescribedPart(*key, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for key, mix in moved if any(mix)
-        ]
+        return [DescribedPart(*k, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for k, mix in moved if any(mix)]
 
 
 def components(place: str, index: int = 0, count: int = 6) -> tuple[tuple[str, int, int], ...]:
@@ -292,17 +290,17 @@ def gravity_torque(s: Covariates, frame: int) -> str:
     return f"gravity_torque_{s.tags[min(max(frame, 1), s.n - 1)]}"
 
 
+def varying(name: str, components: np.ndarray, least: float) -> list[str]:
+    """Names of the components (P, 3) of a covariate that vary by more than this over the poses."""
+    return [f"{name}_{axis}" for axis, x in zip(XYZ, components.T, strict=True) if np.ptp(x) > least]
+
+
 def gravity_moments(basis: Basis, frame: int) -> list[Shape]:
     """Components of the gravity moment of all that hangs behind a frame, about its origin: each by itself, and together."""
     moment, name = basis.here.gravity_moment(frame), gravity_torque(basis.here, frame)
-    largest = np.max(moment**2)
-    varying = [
-        f"gravity_moment_{basis.here.frame_tags[frame]}_{axis}"
-        for axis, x in zip(XYZ, moment.T, strict=True)
-        if np.ptp(x) ** 2 > ROUNDING * largest
-    ]
-    together = basis.shapes(name, [linear(x) for x in varying]) if len(varying) > 1 else []
-    return [shape for x in varying for shape in basis.smooth(name, x)] + together
+    shown = varying(f"gravity_moment_{basis.here.frame_tags[frame]}", moment, np.sqrt(ROUNDING) * np.abs(moment).max())
+    together = basis.shapes(name, [linear(x) for x in shown]) if len(shown) > 1 else []
+    return [shape for x in shown for shape in basis.smooth(name, x)] + together
 
 
 # Functions of the centre --------------------------------------------------------------------------------------------

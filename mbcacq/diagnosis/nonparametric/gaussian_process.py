@@ -88,25 +88,15 @@ def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
         return []
     gravity, moment = basis_functions.gravity_torque(s, location.frame), s.gravity_moment(location.frame)
     largest = max(float(np.linalg.norm(moment, axis=1).max()), 1e-12)
-    varying = [
-        f"gravity_moment_{s.frame_tags[location.frame]}_{axis}"
-        for axis, x in zip("xyz", moment.T, strict=True)
-        if np.ptp(x) > OPTIONS.varies * largest
-    ]
+    varying = basis_functions.varying(f"gravity_moment_{s.frame_tags[location.frame]}", moment, OPTIONS.varies * largest)
     out += [(gravity, [name], largest) for name in varying]
     out += [(gravity, varying, largest)] if len(varying) > 1 else []
     # The rollers of a bearing, and a link that bends by itself, feel which way is down, whatever hangs behind them.
     down = s.gravity_direction(location.frame)
-    attitude = [
-        f"gravity_direction_{s.frame_tags[location.frame]}_{axis}"
-        for axis, x in zip("xyz", down.T, strict=True)
-        if np.ptp(x) > OPTIONS.varies
-    ]
+    attitude = basis_functions.varying(f"gravity_direction_{s.frame_tags[location.frame]}", down, OPTIONS.varies)
     out += [(gravity, [name], 1.0) for name in attitude]
     out += [(gravity, attitude, 1.0)] if len(attitude) > 1 else []
-    every = [
-        Process(on, tuple(walls(s, name, unit * length) for name in names), length, unit) for on, names, unit in out for length in LENGTHS
-    ]
+    every = [Process(on, tuple(walls(s, name, unit * over) for name in names), over, unit) for on, names, unit in out for over in LENGTHS]
     return [one for one in every if one.is_represented]
 
 

@@ -37,13 +37,11 @@ SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 Ranked = tuple[bool, float, EffectFound]  # whether it stands in front, chi2 that it explains beyond all others, the effect
 
 
-def effects_by_contribution(
-    full: ModelFit, contributions: Contributions, validation: CrossValidation, again: Repetitions
-) -> list[EffectFound]:
+def effects_by_contribution(full: ModelFit, shares: Contributions, validation: CrossValidation, again: Repetitions) -> list[EffectFound]:
     """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
     one (a wrong payload through elastic joints) stands in front of all others. again: whether parts of the recording show each of them.
     """
-    ranked = parametric_effects(full, contributions, validation, again) + unmodelled_effects(full, contributions, validation, again)
+    ranked = parametric_effects(full, shares, validation, again) + unmodelled_effects(full, shares, validation, again)
     return [effect for *_, effect in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 

@@ -52,15 +52,13 @@ def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found:
     return [limit for candidate in candidates for limit in limits_of_candidate(problem, candidate, candidates, found)]
 
 
-def limits_of_candidate(
-    problem: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[Member]
-) -> list[BandLimit]:
+def limits_of_candidate(here: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
     """Limits of one candidate. few: the candidates that may confound it."""
     there = {m.candidate.location for m in found}
     orders = [m.hyper for m in found if m.candidate.location == candidate.location and m.hyper is not None]
     if candidate.location in there and not (candidate.periodic and candidate.several):
         return []
-    beside = with_confounders(problem, candidate, [c for c in few if c.location not in there])
+    beside = with_confounders(here, candidate, [c for c in few if c.location not in there])
     return limits_of_bands(beside, candidate, bands(candidate, orders))
 
 

@@ -73,17 +73,9 @@ def as_measured(context: Context) -> Elsewhere:
 
 def _at(context: Context, q: np.ndarray, station: np.ndarray, direction: np.ndarray | None, recording: np.ndarray | None) -> Elsewhere:
     obs, count = context.obs, len(q)
-    blank = Observations(
-        obs.cell,
-        np.arange(count),
-        station,
-        q,
-        np.arange(count),
-        np.full(count, obs.ball[0]),
-        np.zeros((count, 3)),
-        direction=direction,
-        recording=None if obs.recording is None else recording,
-    )
+    each, ball = np.arange(count), np.full(count, obs.ball[0])
+    blank = Observations(obs.cell, each, station, q, each, ball, np.zeros((count, 3)), direction=direction)
+    blank = replace(blank, recording=None if obs.recording is None else recording)
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
     there = Context(blank, context.state, forward_model.predict(blank, context.state))

@@ -72,9 +72,7 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain({"format": FORMAT, "map": map_, "centres": data.centres, "causes": data.causes, "curves": data.curves})
 
 
-def plot_data(
-    setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray
-) -> PlotData:
+def plot_data(setup: DiagnosisProblem, full: ModelFit, entries: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument, of the geometry alone and of the model."""
     context, linear = setup.context, full.geometry_only.linear
     obs = linear.obs
@@ -95,7 +93,7 @@ def plot_data(
         "of": len(kept),
     }
     causes = []
-    for name in dict.fromkeys(m.depends_on for m in mismatch):
+    for name in dict.fromkeys(m.depends_on for m in entries):
         if (values := at_centres(context, name)) is not None:
             label, unit, factor = axis_of(name)
             causes.append({"name": name, "label": label, "unit": unit, "values": _short(factor * values[drawn])})
@@ -154,15 +152,9 @@ def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     for m, p in zip(model.members, model.slices(), strict=True):
         candidate, hyper = m.candidate, m.hyper
         order = hyper if candidate.periodic else None
-        found = model.coefficients[p], model.covariance[p, p]
-        yield DrawnEffect(
-            candidate.name,
-            "+".join(candidate.where),
-            candidate.depends_on,
-            candidate_parts(full.geometry_only.linear, candidate, hyper),
-            *found,
-            order,
-        )
+        about = candidate.name, "+".join(candidate.where), candidate.depends_on
+        parts = candidate_parts(full.geometry_only.linear, candidate, hyper)
+        yield DrawnEffect(*about, parts, model.coefficients[p], model.covariance[p, p], order)
     if full.random:
         coefficients, covariance = full.random_effects
         for group, p in zip(full.random, coefficients_of(full.random), strict=True):
@@ -212,17 +204,9 @@ def response_curve(linear: LinearProblem, residual: np.ndarray, effect: DrawnEff
     order = np.argsort(x, kind="stable")
     order = order[:: len(order) // MOST_POINTS + 1]
     what, unit_name, scale = _axis_label(part, effect.at)
-    return {
-        "effect": effect.name,
-        "at": effect.at,
-        "what": what,
-        "unit": unit_name,
-        "depends_on": effect.depends_on,
-        "x_label": x_label,
-        "x_unit": x_unit,
-        "x": _short(x[order]),
-        **{name: _short(scale * values[order]) for name, values in (("y", amount), ("std", std), ("seen", seen))},
-    }
+    of = {"effect": effect.name, "at": effect.at, "what": what, "unit": unit_name, "depends_on": effect.depends_on}
+    curves = {name: _short(scale * values[order]) for name, values in (("y", amount), ("std", std), ("seen", seen))}
+    return {**of, "x_label": x_label, "x_unit": x_unit, "x": _short(x[order]), **curves}
 
 
 def _axis_label(part: Part, at: str) -> tuple[str, str, float]:

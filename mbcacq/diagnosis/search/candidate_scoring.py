@@ -88,7 +88,7 @@ ROUNDING = 1e-11  # share of a squared displacement that is left where two displ
 NOISES = 64  # draws of noise, by which the median of a largest of many scores is known: it need not be exact
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class CandidateScoring:
     """The projected problem under one noise model, and what it is conditioned on.
 
@@ -127,18 +127,8 @@ class CandidateScoring:
         # With priors Q'Q < I, and x'(I - QQ')y is what they allow: the metric of all gains.
         Q, log_det = ridge_projection(columns[:, :6], linear.rows_of_stations, columns[:, 6:-1])
         dof = float(linear.keep.sum() * linear.width - np.sum(Q * Q))
-        return cls(
-            linear=linear,
-            noise=noise,
-            whiten=whiten,
-            Q=Q,
-            log_det=log_det,
-            r0=r0,
-            r=r0 - Q @ (Q.T @ r0),
-            dof=dof,
-            conditioned=np.zeros((len(r0), 0)),
-            along=np.zeros(0),
-        )
+        r, nothing = r0 - Q @ (Q.T @ r0), np.zeros((len(r0), 0))
+        return cls(linear, noise, whiten, Q, log_det, r0, r, dof=dof, conditioned=nothing, along=np.zeros(0))
 
     def conditioned_on(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
         """The problem that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""

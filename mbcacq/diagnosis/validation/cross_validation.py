@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.folds import Refitted, RepeatedSearch, evaluated_folds
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, HeldOutPrediction, PredictiveScore
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def geometry_scores(full: ModelFit, left_out: list[np.ndarray]) -> PredictiveSco
     linear = full.geometry_only.linear
     pose, keep = linear.obs.pose, linear.keep
     masks = [test[pose] for test in left_out]
-    return summed(held_out_score(linear, keep & ~test, keep & test, NO_EFFECTS, (), full.noise, every=test) for test in masks)
+    return summed(HeldOutPrediction(linear, keep & ~test, keep & test, NO_EFFECTS, (), full.noise, every=test).score() for test in masks)
 
 
 def summed(scores: Iterable[PredictiveScore]) -> PredictiveScore:

@@ -146,19 +146,6 @@ class HeldOutPrediction:
         return columns.products(~self._poses)
 
 
-def held_out_score(
-    linear: LinearProblem,
-    train: np.ndarray,
-    test: np.ndarray,
-    model: EffectSet,
-    random: Sequence[RandomEffect],
-    noise: Noise,
-    every: np.ndarray | None = None,
-) -> PredictiveScore:
-    """The held-out score of a whole model. every: (M,) bool, as of ``HeldOutPrediction``."""
-    return HeldOutPrediction(linear, train, test, model, random, noise, every=every).score()
-
-
 def score_with_new_stations(
     linear: LinearProblem, train: np.ndarray, test: np.ndarray, residual: np.ndarray, noise: Noise, every: np.ndarray
 ) -> PredictiveScore:

@@ -76,15 +76,13 @@ def _axes(context: Context, i: int) -> np.ndarray:
     return context.obs.cell.robot.chain.link_transforms(np.zeros((1, context.n)))[0, i, :3, :3]
 
 
-def _candidate(
-    context: Context, i: int, motion: str, unit: str, directions: Sequence[np.ndarray], arm: np.ndarray, often: int
-) -> Candidate:
+def _candidate(context: Context, i: int, motion: str, unit: str, ways: Sequence[np.ndarray], arm: np.ndarray, often: int) -> Candidate:
     cause, axis = context.position(i), context.axes[i]
     functions, order = _functions(context, i, often)
 
     def described(pivot: Any = 0.0) -> list[DescribedPart]:
-        moved = [np.stack([(unit == "mm") * d, (unit == "rad") * d]) for d in directions]  # rows: shift, turn
-        shifts = [np.cross(arm, d) if unit == "rad" else None for d in directions]
+        moved = [np.stack([(unit == "mm") * d, (unit == "rad") * d]) for d in ways]  # rows: shift, turn
+        shifts = [np.cross(arm, d) if unit == "rad" else None for d in ways]
         parts = []
         for first, row in ((0, 0), (3, 1)):
             for c in range(3):
@@ -100,7 +98,7 @@ def _candidate(
     q = context.obs.q[:, i]
     geometry = np.stack([np.ones_like(q), q] if i in context.obs.cell.robot.chain.sliding and unit == "mm" else [np.ones_like(q)], axis=1)
     values = values - geometry @ np.linalg.lstsq(geometry, values, rcond=None)[0]
-    square = np.kron(np.eye(len(directions)), values.T @ values / len(q))
+    square = np.kron(np.eye(len(ways)), values.T @ values / len(q))
 
     def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> dict[str, ParameterEstimate]:
         """Root mean square over the poses of what is not geometry."""
@@ -108,7 +106,7 @@ def _candidate(
         slope = square @ c / max(rms, 1e-30)
         return {f"{axis}.{motion}_rms_{unit}": number(rms, float(np.sqrt(slope @ v @ slope)))}
 
-    rows = StandstillRows(described() if unit == "mm" else described, np.tile(SIZE[unit] / order, len(directions)))
+    rows = StandstillRows(described() if unit == "mm" else described, np.tile(SIZE[unit] / order, len(ways)))
     support, hyper = Support(LARGEST[unit], LIMIT), None if unit == "mm" else Hyperparameter("", PIVOTS, 3.0, refine=False)
     return Candidate(NAME, (axis,), cause, rows, report, hyper, several=True, variant=motion, support=support)
 

@@ -19,9 +19,7 @@ DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5, in_mo
 FEWEST, LEAST = 4, 0.005  # poses, and share of them, at which the torque must have the rarer sign
 TRANSITIONS = np.array([0.0, 0.03, 0.1, 0.3, 1.0])  # N m over which the teeth change sides: tanh(torque / transition); 0: at once
 AT_ONCE = 1e-9  # N m, over which a hyperbolic tangent is the sign of any torque
-CROSSING_S = np.array(
-    [0.001, 0.003, 0.01, 0.03]
-)  # time constants of crossing the clearance that are tried: a fraction of a cycle to several
+CROSSING_S = np.array([0.001, 0.003, 0.01, 0.03])  # time constants of crossing the clearance: a fraction of a cycle to several
 LEAST_LOAD = 0.002  # of the largest: below, as at rest, the flank in contact is not known and no displacement is assumed
 OVERSAMPLING = 8  # the load changes its sign between two samples
 # rad, half of it: planetary gears of low price have a clearance of 20 to 30 arc minutes.
@@ -62,19 +60,13 @@ def under_load(context: Context, i: int) -> Candidate:
     def described(transition):
         return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
 
-    hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(
-        NAME, (context.axes[i],), cause, StandstillRows(described, np.array([3e-5])), report_of(context.axes[i]), hyper, support=LARGEST
-    )
+    hyper, rows = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,)), StandstillRows(described, np.array([3e-5]))
+    return Candidate(NAME, (context.axes[i],), cause, rows, report_of(context.axes[i]), hyper, support=LARGEST)
 
 
 def report_of(axis: str) -> Report:
     """The width, whose half is the size of the coefficient."""
-
-    def report(c, v, _):
-        return {f"{axis}.width_deg": angle(2 * abs(c[0]), 2 * np.sqrt(v[0, 0]))}
-
-    return report
+    return lambda c, v, _: {f"{axis}.width_deg": angle(2 * abs(c[0]), 2 * np.sqrt(v[0, 0]))}
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
@@ -83,19 +75,14 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     out = []
     for j in group.joints:
         axis, width, degrees = group.axes[j], f"{group.axes[j]}.width_deg", float(in_degrees(1))
-        by_direction = plain_report(width, scale=degrees)
-        out.append(Candidate(NAME, (axis,), f"direction_{group.tags[j]}", MotionRows((j,), _by_direction), by_direction, positive=True))
+        rows = MotionRows((j,), lambda run, joint, _: -0.5 * run.direction[:, [joint]])
+        report = plain_report(width, scale=degrees)
+        out.append(Candidate(NAME, (axis,), f"direction_{group.tags[j]}", rows, report, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
-            by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
-            hyper = Hyperparameter(f"{axis}.crossing_s", CROSSING_S, 2.0)
-            out.append(
-                Candidate(NAME, (axis,), f"tau{group.tags[j]}", MotionRows((j,), _by_load), by_load, hyper, positive=True, variant="load")
-            )
+            rows, hyper = MotionRows((j,), _by_load), Hyperparameter(f"{axis}.crossing_s", CROSSING_S, 2.0)
+            report = plain_report(width, scale=degrees, hyper_name=hyper.name)
+            out.append(Candidate(NAME, (axis,), f"tau{group.tags[j]}", rows, report, hyper, positive=True, variant="load"))
     return out
-
-
-def _by_direction(run: MotionSignals, joint: int, _: object) -> np.ndarray:
-    return -0.5 * run.direction[:, [joint]]
 
 
 def _by_load(run: MotionSignals, joint: int, crossing_s: float) -> np.ndarray:

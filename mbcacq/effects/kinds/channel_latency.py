@@ -21,13 +21,10 @@ WINDOW_S = 0.25  # of the quintic through a recorded torque: shorter ones leave 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name == "q_set":  # a late set point and a late drive are indistinguishable: drive_lag reports it, joint by joint
         return []
-    columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
-    rows = MotionRows(group.joints, columns, channel_delay=True)
-    return [Candidate(NAME, (group.name,), depends, rows, _report, Hyperparameter("", np.array([0.0]), 1.0, refine=False))]
-
-
-def _encoder(run: MotionSignals, joint: int, _: object) -> np.ndarray:
-    return -run.qd[:, [joint]]
+    torque = group.name == "tau"
+    rows = MotionRows(group.joints, _torque if torque else lambda run, joint, _: -run.qd[:, [joint]], channel_delay=True)
+    hyper = Hyperparameter("", np.array([0.0]), 1.0, refine=False)
+    return [Candidate(NAME, (group.name,), "rate" if torque else "qd", rows, _report, hyper)]
 
 
 def _torque(run: MotionSignals, joint: int, _: object) -> np.ndarray:

@@ -8,7 +8,7 @@ friction fed forward, a load) refine it.
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
 
 import numpy as np
 
@@ -47,11 +47,11 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
 
 def _disturbances(runs: tuple[MotionSignals, ...]) -> list[tuple[str, Columns, str]]:
     """(name, columns, unit) of what may disturb a slow loop."""
-    out: list[tuple[str, Columns, str]] = [("friction", _friction, "rad_per_s")]
+    out = [("friction", _pushed(lambda run: np.tanh(available(run.qd_set) / FRICTION_SPEED)), "rad_per_s")]
     if all(run.torque is not None for run in runs):
-        out.append(("drive", _torque_disturbance("torque"), "rad_per_Nms"))
+        out.append(("drive", _pushed(lambda run: run.torque), "rad_per_Nms"))
     if all(run.rigid_set is not None for run in runs):
-        out.append(("load", _torque_disturbance("rigid_set"), "rad_per_Nms"))
+        out.append(("load", _pushed(lambda run: run.rigid_set), "rad_per_Nms"))
     return out
 
 
@@ -83,16 +83,8 @@ def _loop(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
     return np.stack([*fed_forward, initial * np.exp(-time / lag)], axis=1)
 
 
-def _friction(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
-    return lag * low_pass(np.r_[0.0, np.tanh(available(run.qd_set)[1:, joint] / FRICTION_SPEED)], lag, run.step_s)[:, None]
-
-
-def _torque_disturbance(signal: Literal["torque", "rigid_set"]) -> Columns:
-    def columns(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
-        torque = available(run.torque if signal == "torque" else run.rigid_set)[:, joint]
-        return lag * low_pass(np.r_[0.0, torque[1:]], lag, run.step_s)[:, None]
-
-    return columns
+def _pushed(by: Callable[[MotionSignals], np.ndarray | None]) -> Columns:
+    return lambda run, joint, lag: lag * low_pass(np.r_[0.0, available(by(run))[1:, joint]], lag, run.step_s)[:, None]
 
 
 def _lag_report(axis: str) -> Report:

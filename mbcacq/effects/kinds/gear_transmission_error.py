@@ -40,21 +40,10 @@ def candidates(context: Context) -> list[Candidate]:
         preferred = tuple(order for order in built if periods_covered(q, order) >= LEAST_OF_PREFERRED)
         if not len(orders) + len(preferred):
             continue
-        hyper = Hyperparameter(
-            "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred, kind=ORDER
-        )
-        out.append(
-            Candidate(
-                NAME,
-                (context.axes[i],),
-                f"q{context.tags[i]}",
-                rows_of(i, context.position(i)),
-                report_of(context.axes[i], q),
-                hyper,
-                several=True,
-                support=LARGEST,
-            )
-        )
+        values, independent = np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0)
+        hyper = Hyperparameter("order", values, independent, preferred=preferred, kind=ORDER)
+        rows, report = rows_of(i, context.position(i)), report_of(context.axes[i], q)
+        out.append(Candidate(NAME, (context.axes[i],), f"q{context.tags[i]}", rows, report, hyper, several=True, support=LARGEST))
     return out
 
 

@@ -11,6 +11,9 @@ standstill the torque winds the gearbox up against gravity: what is identified i
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from mbcacq.effects.context import Context
@@ -20,6 +23,7 @@ from mbcacq.effects.effect import (
     HyperEstimate,
     Hyperparameter,
     Missing,
+    ParameterEstimate,
     Parameters,
     PriorOdds,
     Report,
@@ -29,7 +33,7 @@ from mbcacq.effects.effect import (
     plain_report,
     standard_deviations,
 )
-from mbcacq.effects.functions import DescribedPart, Function, Product
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, evaluate
 from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
 from mbcacq.model.cell import RobotModel
@@ -70,29 +74,35 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("A2 turns too little for the law of a balancer")
 
     def described(ratio):
-        def lever(shift: float) -> Function:
-            return Function("q2", "lever", (upright + shift, ratio))
-
-        constant = (Product(1.0, (lever(0.0),)),)
-        growing = (Product(1.0, (lever(0.0), Function("q2", "stretch", (upright, ratio)))),)
-        turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
-        return [DescribedPart("joint", j, 0, (constant, growing, turned))]
-
-    def report(c, v, _):
-        first = c[0] if abs(c[0]) > 1e-30 else 1e-30
-        slope = np.array([-c[2] / first, 0.0, 1.0]) / first
-        std = np.sqrt(np.diag(v))
-        return {
-            "A2.preload_deg": angle(c[0], std[0]),
-            "A2.stretched_deg": angle(c[1], std[1]),
-            "A2.zero_deg": angle(upright + c[2] / first, np.sqrt(max(slope @ v @ slope, 0.0))),
-        }
+        return [DescribedPart("joint", j, 0, _law(upright, ratio))]
 
     rows = StandstillRows(described, np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA]))
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
     rarity = RARE if light and not robot.balancer else 1.0
     least = LEAST_OF_HEAVY if robot.mass.sum() >= HEAVY_KG else 0.0
+    report = _report(upright, "deg", angle, 1e-30)
     return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=rarity, usual=usual(robot), least_size=least)]
+
+
+def _law(upright: float, ratio: Any) -> tuple[Column, ...]:
+    """Torques by the angle of A2: of a constant force, over the largest, which is F0 k; of a growing one; the first by its upright."""
+    lever, later, earlier = (Function("q2", "lever", (upright + shift, ratio)) for shift in (0.0, STEP, -STEP))
+    growing = (Product(1.0, (lever, Function("q2", "stretch", (upright, ratio)))),)
+    return (Product(1.0, (lever,)),), growing, (Product(0.5 / STEP, (later,)), Product(-0.5 / STEP, (earlier,)))
+
+
+def _report(upright: float, unit: str, stated: Callable[[float, float], ParameterEstimate], least: float = 0.0) -> Report:
+    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
+        """The shift of the upright angle is the third coefficient over the first."""
+        first, std = c[0] if abs(c[0]) > least else least, standard_deviations(v)
+        slope = np.array([-c[2] / first, 0.0, 1.0]) / first
+        return {
+            f"A2.preload_{unit}": stated(c[0], std[0]),
+            f"A2.stretched_{unit}": stated(c[1], std[1]),
+            "A2.zero_deg": angle(upright + c[2] / first, float(np.sqrt(max(slope @ v @ slope, 0.0)))),
+        }
+
+    return report
 
 
 def usual(robot: RobotModel) -> PriorOdds | None:
@@ -120,7 +130,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         load = (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0))
         rows = MotionRows((j,), _balancing(upright), sigma, usual=True, load_parameters=load)
         hyper = Hyperparameter("", LEVER_RATIOS, 1.0, refine=False)
-        out.append(Candidate(NAME, ("A2",), "q2", rows, _balancing_report(upright), hyper, positive=True, variant="balancing"))
+        out.append(Candidate(NAME, ("A2",), "q2", rows, _report(upright, "Nm", number), hyper, positive=True, variant="balancing"))
     return out
 
 
@@ -131,35 +141,8 @@ def _harmonics(*harmonics: int) -> Columns:
     return columns
 
 
-def _constant_force(delta: np.ndarray, ratio: float) -> np.ndarray:
-    """Torque of a constant force over its largest value, which is F0 k."""
-    return np.sin(delta) / np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta))
-
-
 def _balancing(upright: float) -> Columns:
-    def columns(run: MotionSignals, joint: int, ratio: float) -> np.ndarray:
-        delta = run.q[:, joint] - upright
-        constant = _constant_force(delta, ratio)
-        stretched = (np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta)) - (1.0 - ratio)) / (2.0 * ratio)
-        turned = (_constant_force(delta - STEP, ratio) - _constant_force(delta + STEP, ratio)) / (2.0 * STEP)
-        return np.stack([constant, constant * stretched, turned], axis=1)
-
-    return columns
-
-
-def _balancing_report(upright: float) -> Report:
-    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
-        """The shift of q0 is the third coefficient over the first."""
-        std = standard_deviations(v)
-        gradient = np.array([-c[2] / c[0], 0.0, 1.0]) / c[0]
-        shift_std = np.sqrt(max(gradient @ v @ gradient, 0.0))
-        return {
-            "A2.preload_Nm": number(c[0], std[0]),
-            "A2.stretched_Nm": number(c[1], std[1]),
-            "A2.zero_deg": angle(upright + c[2] / c[0], shift_std),
-        }
-
-    return report
+    return lambda run, joint, ratio: evaluate(_law(upright, ratio), lambda _: run.q[:, joint], len(run.q))
 
 
 def as_wind_up(found: Parameters, every: Parameters) -> Parameters:

@@ -33,9 +33,8 @@ def candidates(context: Context) -> list[Candidate]:
         largest = float(np.abs(torque[:, i]).max())
         rows = StandstillRows(parts, np.array([5e-5 / max(largest, 1e-9)]))
         support = Support(LARGEST / max(largest, 1e-9), f"friction leaves no gearbox wound up by more than {LARGEST * 1e3:.0f} mrad")
-        out.append(
-            Candidate(NAME, (context.axes[i],), f"direction_{context.tags[i]}", rows, report_of(context.axes[i], largest), support=support)
-        )
+        report = report_of(context.axes[i], largest)
+        out.append(Candidate(NAME, (context.axes[i],), f"direction_{context.tags[i]}", rows, report, support=support))
     return out
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number
+from mbcacq.effects.effect import Candidate, Missing, plain_effect
 from mbcacq.effects.functions import ZERO, DescribedPart, monomial
 
 NAME = "incidence_bias"
@@ -21,23 +21,9 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("the artefact leans alike in all poses")
     sine2 = (monomial(), monomial(-1.0, lean_z=2))
     side = {c: (monomial(**{f"lean_{c}": 1}), monomial(-1.0, lean_z=2, **{f"lean_{c}": 1})) for c in "xy"}
-    depth_only = [DescribedPart("point", 0, 2, (sine2,))]
-    both = [
-        DescribedPart("point", 0, 0, (ZERO, side["x"])),
-        DescribedPart("point", 0, 1, (ZERO, side["y"])),
-        DescribedPart("point", 0, 2, (sine2, ZERO)),
-    ]
-    linear = [
-        DescribedPart("point", 0, 0, (ZERO, (monomial(lean_x=1),))),
-        DescribedPart("point", 0, 1, (ZERO, (monomial(lean_y=1),))),
-        DescribedPart("point", 0, 2, (sine2, ZERO)),
-    ]
-
-    def report(c, v, _):
-        names = ("depth_mm", "side_mm")[: len(c)]
-        return {name: number(c[j], np.sqrt(v[j, j])) for j, name in enumerate(names)}
-
-    return [
-        Candidate(NAME, ("scanner",), "tilt", StandstillRows(parts, np.full(k, TYPICAL)), report, variant=variant)
-        for parts, k, variant in ((depth_only, 1, "depth"), (both, 2, ""), (linear, 2, "linear"))
-    ]
+    lean = {c: (monomial(**{f"lean_{c}": 1}),) for c in "xy"}
+    ways = [("depth", [DescribedPart("point", 0, 2, (sine2,))], ["depth_mm"])]
+    for variant, across in (("", side), ("linear", lean)):
+        columns = ((ZERO, across["x"]), (ZERO, across["y"]), (sine2, ZERO))
+        ways.append((variant, [DescribedPart("point", 0, c, columns[c]) for c in range(3)], ["depth_mm", "side_mm"]))
+    return [plain_effect(NAME, ["scanner"], "tilt", parts, dict.fromkeys(names, TYPICAL), variant=way) for way, parts, names in ways]

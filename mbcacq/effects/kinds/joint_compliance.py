@@ -46,12 +46,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         return []
     out = []
     for j in group.joints:
+        rows = MotionRows((j,), lambda run, joint, _: -available(run.load)[:, [joint]], linear_in_load=True)
         report = plain_report(f"{group.axes[j]}.compliance_rad_per_Nm")
-        out.append(
-            Candidate(NAME, (group.axes[j],), f"tau{group.tags[j]}", MotionRows((j,), _columns, linear_in_load=True), report, positive=True)
-        )
+        out.append(Candidate(NAME, (group.axes[j],), f"tau{group.tags[j]}", rows, report, positive=True))
     return out
-
-
-def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
-    return -available(run.load)[:, [joint]]

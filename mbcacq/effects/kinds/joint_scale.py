@@ -27,23 +27,13 @@ DECLARED = Declaration(
 
 def candidates(context: Context) -> list[Candidate]:
     """For each joint that moves, the excess of its ratio over 1."""
-    out = []
-    for i in range(context.n):
-        if np.ptp(context.obs.q[:, i]) > 0.02:
-            cause = context.position(i)
-            parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-            out.append(plain_effect(NAME, [context.axes[i]], cause, parts, {f"{context.axes[i]}.ratio": 1e-4}))
-    return out
+    moved = [(i, context.axes[i], context.position(i)) for i in range(context.n) if np.ptp(context.obs.q[:, i]) > 0.02]
+    return [plain_effect(NAME, [a], on, [DescribedPart("joint", i, 0, (linear(on),))], {f"{a}.ratio": 1e-4}) for i, a, on in moved]
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint":
         return []
-    return [
-        Candidate(NAME, (group.axes[j],), f"q{group.tags[j]}", MotionRows((j,), _columns), plain_report(f"{group.axes[j]}.ratio"))
-        for j in group.joints
-    ]
-
-
-def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
-    return run.q[:, [joint]]
+    rows = [MotionRows((j,), lambda run, joint, _: run.q[:, [joint]]) for j in group.joints]
+    at = zip(group.joints, rows, strict=True)
+    return [Candidate(NAME, (group.axes[j],), f"q{group.tags[j]}", own, plain_report(f"{group.axes[j]}.ratio")) for j, own in at]

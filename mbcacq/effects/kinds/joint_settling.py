@@ -7,8 +7,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Missing, Parameters, StandstillRows, angle, number
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, StandstillRows, plain_report
 from mbcacq.effects.functions import Column, DescribedPart, of, times
+from mbcacq.quantities import in_degrees
 
 NAME = "joint_settling"
 DECLARED = Declaration(acts_in_time=True, needs=("time_s",), challenge=Challenge(number=22))
@@ -44,10 +45,7 @@ def of_joint(joint: tuple[int, str], cause: str, function: str, hyper: Hyperpara
         column = of(cause, function, value)
         return [DescribedPart("joint", i, 0, (column if sign is None else times(column, sign),))]
 
-    def report(c: np.ndarray, v: np.ndarray, at: HyperEstimate) -> Parameters:
-        sag = {f"{axis}.sag_deg": angle(c[0], np.sqrt(v[0, 0]))}
-        return sag | {f"{axis}.{hyper.name}": number(at.value, at.std)}
-
+    report = plain_report(f"{axis}.sag_deg", scale=float(in_degrees(1)), hyper_name=f"{axis}.{hyper.name}")
     return Candidate(NAME, (axis,), cause, StandstillRows(described, np.array([TYPICAL])), report, hyper, variant=variant)
 
 

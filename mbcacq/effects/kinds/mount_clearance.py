@@ -25,9 +25,8 @@ LINES = [
 ]
 INDEPENDENT = 200  # lines that put the poses into seats differently
 STARTS, STEPS = 3, (15, 8, 4, 2, 1)  # best of the lines from which nearer ones are looked for, and by how many degrees
-FALLS = np.array(
-    [-0.25, -0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.25]
-)  # component of gravity along the line where it changes seats: friction holds it
+# Component of gravity along the line where it changes seats: friction holds it.
+FALLS = np.array([-0.25, -0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.25])
 AT_ONCE = 1e-6  # of that component, over which a hyperbolic tangent is a sign
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, EffectCoupling, Where
-from mbcacq.effects.effect import Candidate, Missing, Parameters, Report, StandstillRows, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Parameters, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 from mbcacq.geometry.dynamics import tool_sigma
@@ -103,19 +103,15 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     robot = runs[0].robot
     assert robot is not None, "torques by unit inertial parameters are of an arm"
     load = (("mass_kg", 1.0), *((f"moment_{axis}_kg_mm", 1e3) for axis in "xyz"))
-    rows = MotionRows(group.joints, _columns, tuple(tool_sigma(robot)), usual=True, tested=4, load_parameters=load)
-    report = _report(float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
+    sigma = tuple(tool_sigma(robot))
+    rows = MotionRows(group.joints, lambda run, j, _: available(run.payload)[:, j], sigma, usual=True, tested=4, load_parameters=load)
+    mass, com, to_mm = float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float), np.array([1.0, 1e3, 1e3, 1e3])
+
+    def report(c, v, _):
+        """The whole tool in the words of the poses; what there is in kg mm is in kg m here."""
+        return tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm))
+
     return [Candidate(NAME, ("mount",), "gravity_torque", rows, report)]
-
-
-def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
-    return available(run.payload)[:, joint]
-
-
-def _report(mass: float, com: np.ndarray) -> Report:
-    """Parameters of the whole tool in the words of the poses; what there is in kg mm is in kg m here."""
-    to_mm = np.array([1.0, 1e3, 1e3, 1e3])
-    return lambda c, v, _: tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm))
 
 
 DECLARED = Declaration(

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number
+from mbcacq.effects.effect import Candidate, Missing, plain_effect
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, evaluate, monomial
 
 NAME = "scanner_distortion"
@@ -44,12 +44,8 @@ def candidates(context: Context) -> list[Candidate]:
         parts = [DescribedPart("point", 0, c, tuple(BIASES[k][1][c] for k in names)) for c in range(3)]
         bias = np.stack([evaluate(part.columns, context.value, context.obs.n_centres) for part in parts], axis=1)
         typical = TYPICAL / np.maximum(np.linalg.norm(bias, axis=1).max(axis=0), 1e-12)
-
-        def report(c, v, _):
-            return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
-
-        cause, variant = BIASES[names[0]][0], "+".join(names)
-        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant)
+        sizes = dict(zip(names, typical, strict=True))
+        return plain_effect(NAME, ["scanner"], BIASES[names[0]][0], parts, sizes, variant="+".join(names))
 
     alone = [k for k in BIASES if k not in ONLY_COMBINED]
     return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, Support, number, vector
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, Support, plain_report, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, linear
 
 NAME = "scanner_scale"
@@ -22,22 +22,15 @@ def candidates(context: Context) -> list[Candidate]:
     one = [DescribedPart("point", 0, c, (shift[c],)) for c in range(3)]
     three = [DescribedPart("point", 0, c, (ZERO,) * c + (shift[c],) + (ZERO,) * (2 - c)) for c in range(3)]
 
-    def report_one(c, v, _):
-        return {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}
+    def candidate(parts: list[DescribedPart], cause: str, variant: str, along: np.ndarray) -> Candidate:
+        """along: (3, k): the scale of each axis by the coefficients."""
+        rows = StandstillRows(parts, np.full(along.shape[1], 200.0))
 
-    def report_three(c, v, _):
-        return {"scale_ppm": vector(c, v)}
+        def report(c, v, _):
+            return {"scale_ppm": vector(along @ c, along @ v @ along.T)}
 
-    def report_axis(axis: int) -> Report:
-        only = np.eye(3)[axis]
-        return lambda c, v, _: {"scale_ppm": vector(c[0] * only, v[0, 0] * np.diag(only))}
+        shown = report if variant else plain_report("scale_ppm")
+        return Candidate(NAME, ("scanner",), cause, rows, shown, variant=variant, support=LARGEST)
 
-    def candidate(parts: list[DescribedPart], cause: str, report: Report, k: int, variant: str) -> Candidate:
-        typical = np.full(k, 200.0)
-        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant, support=LARGEST)
-
-    return [
-        candidate(one, "z", report_one, 1, ""),
-        candidate(three, "x", report_three, 3, "axes"),
-        *(candidate([DescribedPart("point", 0, a, (shift[a],))], "xyz"[a], report_axis(a), 1, "xyz"[a]) for a in range(3)),
-    ]
+    alone = [candidate([DescribedPart("point", 0, a, (shift[a],))], "xyz"[a], "xyz"[a], np.eye(3)[:, [a]]) for a in range(3)]
+    return [candidate(one, "z", "", np.ones((3, 1))), candidate(three, "x", "axes", np.eye(3)), *alone]
