@@ -121,8 +121,15 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
     probing = sum(seen / poses for seen, _, poses in ends)
     repeatability = sum(repeated_variance(obs, moved) / poses for _, moved, poses in ends)
     temperature = artefact_temperature(obs, artefact)
-    terms = float(np.sqrt(2) * artefact.uncertainty_mm), temperature.thermal_mm(length), float(np.sqrt(probing))
-    return LengthBudget(length, *terms, float(np.sqrt(repeatability)), obs.cell.stations[station].id, temperature)
+    return LengthBudget(
+        length_mm=length,
+        certificate_mm=float(np.sqrt(2) * artefact.uncertainty_mm),
+        temperature_mm=temperature.thermal_mm(length),
+        probing_mm=float(np.sqrt(probing)),
+        repeatability_mm=float(np.sqrt(repeatability)),
+        station=obs.cell.stations[station].id,
+        temperature=temperature,
+    )
 
 
 def repeated_variance(obs: Observations, found_mm2: float) -> float:

@@ -194,9 +194,19 @@ def adjusted_fit(options: CalibrationOptions, adjustment: Adjustment, known_nois
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())
     solution.forget()  # the whitened residual of a long recording takes as much memory as what it no longer needs
-    of = obs, options, solution.estimate.coefficients, station_covariance, weights, solution.residual, solution.whitened_residual
-    dof = int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank
-    fit = ObservationFit(*of, solution.cost, dof, rank, solution.iterations)
+    fit = ObservationFit(
+        observations=obs,
+        options=options,
+        coefficients=solution.estimate.coefficients,
+        station_covariance=station_covariance,
+        weights=weights,
+        residual=solution.residual,
+        whitened=solution.whitened_residual,
+        chi2=solution.cost,
+        dof=int(adjustment.used.sum()) * lineariser.rows.width + solution.prior.rows - rank,
+        rank=rank,
+        iterations=solution.iterations,
+    )
     alike = tuple(one for one in alike if not any(name.startswith("unknown:") for name in one[:2]))
     fit = replace(fit, undetermined=tuple(adjustment.found), rejected=_rejected(obs, solution, weights), correlated=alike)
     return fit, CellEstimate(state=solution.estimate.state, layout=layout, covariance=C, noise=adjustment.noise)

@@ -104,12 +104,16 @@ def arm_improvement(
         elsewhere = ~took_part[enough]
         new = bool(elsewhere.sum() >= FEWEST)
         counted = elsewhere if new else counted
-    noise, pose = float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))), tuple(obs.pose_id[counted].tolist())
-    missed, each = (
-        (MissedBy.of(before[counted]), MissedBy.of(after[counted])),
-        (tuple(before[counted].tolist()), tuple(after[counted].tolist())),
+    return ArmImprovement(
+        before=MissedBy.of(before[counted]),
+        after=MissedBy.of(after[counted]),
+        noise_mm=float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))),
+        poses=int(counted.sum()),
+        new=new,
+        pose=tuple(obs.pose_id[counted].tolist()),
+        before_mm=tuple(before[counted].tolist()),
+        after_mm=tuple(after[counted].tolist()),
     )
-    return ArmImprovement(*missed, noise, int(counted.sum()), new, pose, *each)
 
 
 def missed_mm(obs: Observations) -> np.ndarray:

@@ -113,8 +113,18 @@ def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCel
     at = system(lineariser, Estimate(state), found.noise, weights)
     rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = at.whitened_residual
-    chi2, dof, covariance = float(np.sum(whitened**2)), whitened.size - rank, np.zeros((len(obs.cell.stations), 6, 6))
-    of = obs, options, (), covariance, weights, at.residual
-    fit = ObservationFit(*of, whitened, chi2=chi2, dof=dof, rank=rank, iterations=found.iterations)
+    fit = ObservationFit(
+        observations=obs,
+        options=options,
+        coefficients=(),
+        station_covariance=np.zeros((len(obs.cell.stations), 6, 6)),
+        weights=weights,
+        residual=at.residual,
+        whitened=whitened,
+        chi2=float(np.sum(whitened**2)),
+        dof=whitened.size - rank,
+        rank=rank,
+        iterations=found.iterations,
+    )
     estimate = CellEstimate(state=state, layout=layout, covariance=found.covariance, noise=found.noise)
     return CalibratedCell.fitted(fit, estimate, first, {"stages": stages})
