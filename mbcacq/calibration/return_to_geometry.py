@@ -33,8 +33,7 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     if model is None or not ending:
         return cell
     changes = list(_changes(cell, without, named, ending))
-    places = dict.fromkeys(place for place, _ in changes)
-    parts = [DescribedPart(*place, (tuple(p for there, p in changes if there == place),)) for place in places]
+    parts = [DescribedPart(*place, (tuple(p for at, p in changes if at == place),)) for place in dict.fromkeys(at for at, _ in changes)]
     where = tuple(dict.fromkeys(at for t in ending for at in t.where))
     angles = "*".join(sorted({name for t in ending for name in t.covariates}))
     held = tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped}))
