@@ -174,7 +174,7 @@ def gocator_health(data: bytes) -> None:
 
 
 def gocator_reply(data: bytes) -> None:
-    *_, body = control._read_reply(Stub(data), "reply", float("inf"))
+    *_, body = control._read_reply("reply", Stub(data), float("inf"))
     for parse in (information.parse_info_1, information.parse_info_2, information.parse_states):
         try:
             parse(body)
