@@ -50,9 +50,7 @@ def power_cuts(given: argparse.Namespace) -> int:
         wrong = runs.left_behind(folder, Ending("cut"))
         if not wrong and case % given.resume_every == 0 and (folder / "plan.yaml").exists():
             wrong = runs.resumed(folder)
-        held = (
-            len(progress_before(folder, runs.loaded, CELL, lambda said: None).done) if not wrong and (folder / "plan.yaml").exists() else 0
-        )
+        held = len(progress_before(folder, runs.loaded, CELL, str).done) if not wrong and (folder / "plan.yaml").exists() else 0
         table[how, "not good" if wrong else f"{held} poses kept"] += 1
         bad += bool(wrong)
         if wrong:

@@ -211,7 +211,7 @@ class DisturbedRuns:
         if not folder.exists() or not any(folder.glob("plan.yaml")):
             return []  # it began not: there is nothing to go on with
         try:
-            progress = progress_before(folder, self.loaded, CELL, lambda said: None)
+            progress = progress_before(folder, self.loaded, CELL, str)
             found = centres_of(folder) if progress.done else {}
         except MbcacqError as error:
             return [f"not resumable: {error}"]
@@ -233,7 +233,7 @@ class DisturbedRuns:
         if not any(folder.glob("plan.yaml")):
             return []  # it began not
         try:
-            before = progress_before(folder, self.loaded, CELL, lambda said: None)
+            before = progress_before(folder, self.loaded, CELL, str)
             if all(pose.number in before.done for pose in self.poses):
                 return []
             rest = acquire.plan_acquisition(self.loaded, self.poses, before.done, before.part, CELL)
