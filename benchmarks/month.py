@@ -46,9 +46,8 @@ class Cell:
         fake = yaml.safe_dump({"fake": {"seed": seed, "noise_seed": self.draw, "hidden": self.hidden}})
         (self.desk / "plans" / "kuka.yaml").write_text(f"{self.plan}\n{fake}", encoding="utf-8")
 
-    def type(self, day: int, command: str, disk: str = "", after_s: float | None = None) -> tuple[int, str]:
-        """Type a command. disk: a folder that is mounted as a small disk; after_s: press Ctrl-C so long after the start. Prints the row of
-        the table."""
+    def type(self, day: int, command: str, disk: str = "", until: Callable[[], bool] | None = None) -> tuple[int, str]:
+        """Type a command; prints a row of the table. disk: a folder that is mounted as a small disk; until: press Ctrl-C once it is so."""
         began = time.perf_counter()
         words = [str(MBCACQ), *shlex.split(command)[1:]]
         if disk:
@@ -57,8 +56,9 @@ class Cell:
         with subprocess.Popen(
             words, cwd=self.desk, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True
         ) as process:
-            if after_s is not None:
-                time.sleep(after_s)
+            if until is not None:
+                while process.poll() is None and not until():
+                    time.sleep(0.2)
                 process.send_signal(signal.SIGINT)
             said = process.communicate()[0]
         lines = said.splitlines()
@@ -82,9 +82,9 @@ def changed(cell: Cell, day: int, what: dict[str, object]) -> None:
 
 
 def interrupted(cell: Cell, day: int) -> None:
-    cell.type(day, f"{RUN} --out runs/interrupted", after_s=12.0)
-    if (cell.desk / "runs" / "interrupted" / "journal.jsonl").exists():
-        assert cell.type(day, "mbcacq run --resume runs/interrupted --dry-run")[0] == 0
+    journal = cell.desk / "runs" / "interrupted" / "journal.jsonl"
+    cell.type(day, f"{RUN} --out runs/interrupted", until=lambda: journal.exists() and journal.read_text().count("pose_done") > 30)
+    assert cell.type(day, "mbcacq run --resume runs/interrupted --dry-run")[0] == 0
 
 
 def without_room(cell: Cell, day: int) -> None:

@@ -22,7 +22,7 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_term import UNKNOWN
 
 PAGE = HERE / "outside_catalogue.md"
-VERDICTS = ("explained", "partly_explained", "unexplained", "cannot_tell", "none")
+VERDICTS = ("cannot_tell", "none")  # shown beside names and locations
 
 
 def outcome(kind: str, seed: int) -> dict[str, Any]:

@@ -23,7 +23,7 @@ def power_cuts(given: argparse.Namespace) -> int:
     resumed, every so often to its end. Linux, gcc.
     """
     runs = DisturbedRuns(preload())
-    from mbcacq.workflow.resume import resumed_progress
+    from mbcacq.workflow.resume import progress_before
 
     whole, log = runs.work / "whole", runs.work / "log"
     ending = runs.run(lambda: runs.library.fault_record(str(whole).encode(), str(log).encode()), whole, False)
@@ -50,7 +50,7 @@ def power_cuts(given: argparse.Namespace) -> int:
         wrong = runs.left_behind(folder, Ending("cut"))
         if not wrong and case % given.resume_every == 0 and (folder / "plan.yaml").exists():
             wrong = runs.resumed(folder)
-        held = len(resumed_progress(folder, runs.loaded, CELL).done) if not wrong and (folder / "plan.yaml").exists() else 0
+        held = len(progress_before(folder, runs.loaded, CELL, str).done) if not wrong and (folder / "plan.yaml").exists() else 0
         table[how, "not good" if wrong else f"{held} poses kept"] += 1
         bad += bool(wrong)
         if wrong:

@@ -206,12 +206,12 @@ class DisturbedRuns:
         import numpy as np
 
         from mbcacq.errors import MbcacqError
-        from mbcacq.workflow.resume import resumed_progress
+        from mbcacq.workflow.resume import progress_before
 
         if not folder.exists() or not any(folder.glob("plan.yaml")):
             return []  # it began not: there is nothing to go on with
         try:
-            progress = resumed_progress(folder, self.loaded, CELL)
+            progress = progress_before(folder, self.loaded, CELL, str)
             found = centres_of(folder) if progress.done else {}
         except MbcacqError as error:
             return [f"not resumable: {error}"]
@@ -228,12 +228,12 @@ class DisturbedRuns:
         """Go on with the folder to the end, undisturbed."""
         from mbcacq.devices import load_driver
         from mbcacq.workflow import acquire
-        from mbcacq.workflow.resume import resumed_progress
+        from mbcacq.workflow.resume import progress_before
 
         if not any(folder.glob("plan.yaml")):
             return []  # it began not
         try:
-            before = resumed_progress(folder, self.loaded, CELL)
+            before = progress_before(folder, self.loaded, CELL, str)
             if all(pose.number in before.done for pose in self.poses):
                 return []
             rest = acquire.plan_acquisition(self.loaded, self.poses, before.done, before.part, CELL)

@@ -39,7 +39,8 @@ def twisted(twist: np.ndarray) -> np.ndarray:
 @dataclass
 class World:
     """A cell as it is. q: (P, n) reported angles; joint (P, n) rad, base and mount (P, 6) and air (P,) are displaced by the physics, and
-    ``behind`` (P, n, 3) mm moves the frame behind each link in its own axes."""
+    ``behind`` (P, n, 3) mm moves the frame behind each link in its own axes; ``reach`` (P,) is added to a distance, in shares of it, and
+    ``loose`` is a ball with the clearance (mm) in which it lies on the lower side of its seat."""
 
     obs: Observations
     rng: np.random.Generator
@@ -47,11 +48,14 @@ class World:
     base: np.ndarray = field(init=False)
     mount: np.ndarray = field(init=False)
     behind: np.ndarray = field(init=False)
+    reach: np.ndarray = field(init=False)
+    loose: tuple[int, float] = field(init=False, default=(-1, 0.0))
     air: np.ndarray = field(init=False)  # 1/mm, curvature of a ray across its way, towards the zenith
 
     def __post_init__(self) -> None:
         P, n = self.obs.q.shape
         self.joint, self.base, self.mount, self.air = np.zeros((P, n)), np.zeros((P, 6)), np.zeros((P, 6)), np.zeros(P)
+        self.reach = np.zeros(P)
         self.behind = np.zeros((P, n, 3))
 
     @property
@@ -126,16 +130,18 @@ class World:
         T = twisted(self.base) @ self.frames(q, deviating, self.behind)[:, -1] @ twisted(self.mount) @ hand_eye
         nominal = self.frames(self.q)[:, -1] @ cell.T_flange_scanner
         stations = np.zeros((len(cell.stations), 4, 4))
-        balls = cell.ball_centres[obs.ball]
         for s in range(len(stations)):  # where the nominal arm sees the artefact: a tripod that was put up
             (row, *_) = np.flatnonzero(obs.station[obs.pose] == s)
             stations[s] = nominal[obs.pose[row]] @ self._seen(obs.pose[row])
+        lies = (obs.ball == self.loose[0])[:, None] * self.loose[1]
+        balls = cell.ball_centres[obs.ball] + lies * np.einsum("mji,j->mi", stations[obs.station[obs.pose], :3, :3], -UP)
         seen = np.einsum("mij,mj->mi", stations[obs.station[obs.pose], :3, :3], balls) + stations[obs.station[obs.pose], :3, 3]
         R, t = T[obs.pose, :3, :3], T[obs.pose, :3, 3]
         xyz = np.einsum("mji,mj->mi", R, seen - t)
         length = np.linalg.norm(xyz, axis=1, keepdims=True)
         up = np.einsum("mji,j->mi", R, UP)
         across = up - xyz * np.sum(up * xyz, axis=1, keepdims=True) / length**2
+        xyz = xyz * (1 + self.reach[obs.pose] * length[:, 0] / 260)[:, None]
         xyz = xyz + 0.5 * self.air[obs.pose][:, None] * length**2 * across
         return replace(obs, xyz=xyz + rng.normal(0, 1, xyz.shape) * POINT_NOISE)
 
@@ -312,6 +318,39 @@ def warming_link(w: World, size: float) -> tuple[str, ...]:
     return (f"link{i + 1}",)
 
 
+def duty_warms_gear(w: World, size: float) -> tuple[str, ...]:
+    """A worm gear turns its joint away as it warms up with its own duty, and back as it cools."""
+    i, heat, at = int(w.rng.choice([1, 2, 4])), np.zeros(len(w.q)), 0.0
+    moved = np.abs(w.since_before(w.q[:, i], 0.0))
+    for pose in np.argsort(w.obs.time_s):
+        at = at * np.exp(-w.gap_s[pose] / 400.0) + moved[pose]
+        heat[pose] = at
+    w.joint[:, i] += (5e-4 if i > 2 else 2.5e-4) * size * heat / heat.max()
+    return (f"A{i + 1}",)
+
+
+def tilting_bearings(w: World, size: float) -> tuple[str, ...]:
+    """Two bearings of a joint yield apart: what they carry shifts along the axis with the load across it, more beyond a preload."""
+    i = int(w.rng.choice([2, 3]))
+    load = w.torque[:, i - 1] / np.abs(w.torque[:, i - 1]).max()
+    bend = w.obs.cell.robot.chain.rows[i, 3]
+    shift = 0.2 * size * np.sign(load) * np.maximum(np.abs(load) - 0.3, 0.0) / 0.7
+    w.behind[:, i] += shift[:, None] * (turns(np.array([[-bend, 0.0, 0.0]]))[0] @ UP)
+    return f"link{i}", f"link{i + 1}"
+
+
+def warming_range(w: World, size: float) -> tuple[str, ...]:
+    """A scanner measures far points the longer, the warmer it is."""
+    w.reach += 2.5e-4 * size * (1 - np.exp(-w.obs.time_s / 1500.0))
+    return ("scanner",)
+
+
+def loose_ball(w: World, size: float) -> tuple[str, ...]:
+    """A ball lies on the lower side of its seat, whichever way the artefact stands."""
+    w.loose = int(w.rng.integers(8)), 0.08 * size
+    return (f"ball{w.obs.cell.ball_ids[w.loose[0]]}",)
+
+
 SETTLING, SLACK = frozenset({"joint_settling"}), frozenset({"lost_motion"})
 KINDS = {
     "two_angles": Kind(two_angles),
@@ -329,5 +368,9 @@ KINDS = {
     "bearing_run_out": Kind(bearing_run_out),
     "cable_at_wrist": Kind(cable_at_wrist),
     "loaded_strain_wave": Kind(loaded_strain_wave),
+    "duty_warms_gear": Kind(duty_warms_gear),
+    "tilting_bearings": Kind(tilting_bearings),
+    "warming_range": Kind(warming_range),
+    "loose_ball": Kind(loose_ball, (frozenset({"ball_shift"}),)),
     "warming_link": Kind(warming_link, (frozenset({"thermal_growth"}),)),
 }

@@ -24,7 +24,7 @@ def on_files(files: Files, config) -> Files:
     """Add every page of benchmarks/ at the same place in the site, and the pages that follow from the code."""
     for name, made in REFERENCE.items():
         files.append(File.generated(config, f"reference/{name}", content=made()))
-    for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg")):
+    for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg", ".webp")):
         files.append(File.generated(config, f"benchmarks/{page.name}", abs_src_path=str(page)))
     files.append(File.generated(config, "assets/offline_search.js", abs_src_path=str(ROOT / "docs" / "_make" / "offline_search.js")))
     return files

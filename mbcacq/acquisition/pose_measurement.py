@@ -109,7 +109,7 @@ class PoseMeasurement:
         if len(profiles) < LEAST_PROFILES:
             return self._leave_out(pose, f"the scanner sent {len(profiles)} profiles", "look at its trigger, exposure and field of view")
         measured: ArmAtPose = {"q": reached.q, "sensors": self._read_sensors(pose), "facts": self.facts.values}
-        return self._done(pose, [FoundSpheres.nothing()], 0, reached, measured)
+        return self._done(pose, [FoundSpheres.of()], 0, reached, measured)
 
     def _leave_out(self, pose: PlannedPose, contradiction: str, remedy: str) -> bool:
         """False; names a pose whose exposures failed the checks, or whose devices were set up otherwise.

@@ -69,7 +69,7 @@ def command(
 def _shown(done: MergedPart) -> Iterator[str | Table]:
     found = done.agreement
     yield found.sentence
-    title = f"worst of {len(found.pairs)} overlaps, 3D rms in mm (expected: k = 1)"
+    title = f"worst of {len(found.pairs)} overlaps, 3D rms in mm (expected: k = 1; not determined: how both scans slide on each other)"
     table = titled_table(title, "poses", *found.names, "expected", "not determined", left=["poses", "not determined"])
     best = found.names[-1]
     for pair in sorted(found.pairs, key=lambda one: -one.by_placement[best] / one.expected_mm)[:SHOWN]:

@@ -100,8 +100,9 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     chosen = _spread(draft, found, request.options.stations + VERIFICATION_VIEWS)
     if len(chosen) < 2:
         raise ConfigError(
-            f"{request.robot}: only {len(chosen)} of {len(draft.cell.stations)} places tried can be seen well enough; check hand_eye, "
-            "the scanner's housing (body_mm) and the arm's limits"
+            f"only {len(chosen)} of {len(draft.cell.stations)} places tried can be seen well enough by {request.robot}; give an artefact "
+            f"that fits into the scanner's view ({request.artefact}), or check hand_eye, the scanner's housing (body_mm) and the arm's "
+            "limits"
         )
     kept, apart = chosen[: request.options.stations], chosen[request.options.stations :] or chosen[-1:]
     if request.options.track is not None and len(chosen) > VERIFICATION_VIEWS:  # lengths are checked at both ends

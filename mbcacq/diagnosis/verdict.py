@@ -22,7 +22,7 @@ from mbcacq.diagnosis.output.effects_table import classes, effects_by_contributi
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.next_measurements import elsewhere, revealing, separating
-from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
+from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, rejected_balls, sum_of_shares
 from mbcacq.diagnosis.output.orders import with_orders
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
@@ -65,8 +65,9 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     mismatch = mismatch_table(full, contributions, before)
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
-    if once or (effects and all(e.trend for e in effects)):
-        verdict = "cannot_tell"  # a name that parts do not give again, or trends alone, explain nothing
+    left_out = verdict in ("none", "explained") and rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep)
+    if once or left_out or (effects and all(e.trend for e in effects)):
+        verdict = "cannot_tell"  # a name that parts do not give again, trends alone, or less than what was measured explain nothing
     said = [*not_carried_over(verdict, validation, effects), *sum_of_shares(mismatch, before, after), *notes(setup, full)]
     said += [*of_effects(setup, full, found), *([] if too_little is None else [too_little]), *undecided_evidence(full)]
     return Diagnosis(

@@ -109,6 +109,12 @@ class RobotModel:
         """(n,) axes with the units of ``drawn``."""
         return tuple(f"{name} / {'cm' if slides else '°'}" for name, slides in zip(self.axes, self.chain.prismatic.tolist(), strict=True))
 
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """(n,) headings of positions in tables: q1_deg of A1, e1_mm of E1 that slides."""
+        kinds = zip(self.axes, self.chain.prismatic.tolist(), strict=True)
+        return tuple(f"{'q' if name[0] == 'A' else 'e'}{name[1:]}_{'mm' if slides else 'deg'}" for name, slides in kinds)
+
     def in_words(self, q: np.ndarray) -> str:
         """A position (n,): 'A1 10.0° A2 ..'."""
         return " ".join(f"{name} {value:.1f}{self.unit(k)}" for k, (name, value) in enumerate(zip(self.axes, self.shown(q), strict=True)))

@@ -7,19 +7,20 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.schema import ControllerJoints
-from mbcacq.quantities import from_degrees, in_degrees
+from mbcacq.quantities import from_degrees
 
 
 def to_controller(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
-    """Joint angles (..., n) deg as the controller counts them, of q (..., n) rad. Raises ConfigError, see ``matrix``."""
+    """Positions (..., n) deg, mm as the controller counts them, of q (..., n) rad, mm. Raises ConfigError, see ``matrix``."""
     A, offset = matrix(loaded)
-    return in_degrees(q) @ A.T + offset
+    return loaded.cell.robot.shown(q) @ A.T + offset
 
 
-def from_controller(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
-    """The inverse: (..., n) rad. Raises ConfigError, see ``matrix``."""
+def from_controller(loaded: LoadedPlan, positions: np.ndarray) -> np.ndarray:
+    """The inverse: (..., n) rad, mm. Raises ConfigError, see ``matrix``."""
     A, offset = matrix(loaded)
-    return from_degrees(np.linalg.solve(A, (np.asarray(angles_deg, dtype=float) - offset)[..., None])[..., 0])
+    counted = np.linalg.solve(A, (np.asarray(positions, dtype=float) - offset)[..., None])[..., 0]
+    return np.where(loaded.cell.robot.chain.prismatic, counted, from_degrees(counted))
 
 
 def matrix(loaded: LoadedPlan) -> tuple[np.ndarray, np.ndarray]:

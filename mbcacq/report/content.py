@@ -59,6 +59,8 @@ class Spacing:
         The poses were held out of the fit.
     judging : ndarray or None
         (k,) mm standard uncertainty of judging each error, or None.
+    common : float or None
+        mm standard uncertainty of the mean error, which all places share, or None.
     """
 
     place: list[str]
@@ -70,6 +72,7 @@ class Spacing:
     more: list[tuple[str, str]] = field(default_factory=list)
     independent: bool = True
     judging: np.ndarray | None = None
+    common: float | None = None
 
     @property
     def beyond(self) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
 
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.result_io import export_command, of_flange_poses
@@ -17,6 +18,7 @@ from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
 FEWEST_OF_ONE_SIGN = 5
+BEYOND_K, RARE = 0.0455, 0.05  # share of normal errors beyond k = 2; what happens less often is no chance
 UNITS = {"C": "°C", "s": "s", "ms": "ms", "mm": "mm", "um": "µm", "V": "V", "A": "A"}  # by the ending of a quantity's name
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
 HEADLINES = {
@@ -51,6 +53,10 @@ MEASURE_INDEPENDENTLY = Action(
     "mbcacq plan copy kuka",
 )
 
+HOLD_OUT = (
+    "Predict poses that are held out",
+    "Nothing independent says how good the cell is. Refit it without some of the poses, and see how well it predicts them.",
+)
 VERIFY_ON_VIEWS = (
     "Verify on further views",
     "Nothing independent says how good the hand-eye transformation is. Take ten further views of the target, with the flange turned "
@@ -109,9 +115,12 @@ def beyond_expected_sentence(spacing: Spacing | None) -> str:
         for i in at[:5]
     )
     more = f" and {len(at) - 5} more" if len(at) > 5 else ""
+    as_many = float(binom.sf(len(at) - 1, len(spacing.place), BEYOND_K))
+    lacking = "The model lacks something, or the noise is larger than it was taken to be"
+    why = f"Chance alone leaves as many in about {as_many:.0%} of calibrations" if as_many > RARE else lacking
     return (
         f"At {len(at)} of {len(spacing.place)} places the error is beyond the expanded uncertainty that the calibration expects there: "
-        f"{listed}{more}. The model lacks something, or the noise is larger than it was taken to be."
+        f"{listed}{more}. {why}."
     )
 
 
@@ -140,12 +149,14 @@ def one_sign(spacing: Spacing | None) -> str:
     if not positive and not np.all(spacing.after < 0):
         return ""
     ppm = 1e6 * float(np.mean(spacing.after / spacing.certified))
-    count = len(spacing.after)
+    count, shared = len(spacing.after), K * (spacing.common or 0.0)
+    common = f"They share the uncertainty of the arm, U = {uncertainty(1e3 * shared)} µm (k = 2), which explains it."
+    if abs(float(spacing.after.mean())) > shared:
+        common = "A common cause acts like this: the certified length, its temperature, or the scale of the scanner."
     return (
         f"All {count} errors are {'positive' if positive else 'negative'}: mean {signed(1e3 * spacing.after.mean(), 1)} µm, "
         f"{signed(ppm, 0)} ppm of the length. "
-        f"{count} independent errors of mean zero would be of one sign with probability 1/{2 ** (count - 1)}. "
-        "A common cause acts like this: the certified length, its temperature, or the scale of the scanner."
+        f"{common}"
     )
 
 
@@ -256,6 +267,8 @@ def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str,
         return Action(*MEASURE_MORE, measure_next(name, plan))
     if verdict.level == "undecided":
         return Action(*DECIDE_BETTER, command_line("plan", "check", plan) if plan else command_line("calibrate", name))
+    if spacing is None and not plan:  # poses of an instrument without a plan, as of a tracker
+        return Action(*HOLD_OUT, command_line("calibrate", name, "--held-out", "random"))
     if spacing is None:
         return MEASURE_INDEPENDENTLY
     why = "Write it for the controller, for ROS or as tables."

@@ -98,6 +98,8 @@ def collect(
         if folder is not None and folder.is_dir():
             held.enter_context(write_lock(folder, "collect --resume"))
         before = resuming.progress_before(folder, loaded, CELL, operator.message)
+        if sources.joints is None:
+            operator.message("joint angles are those of the plan; the arm's own log is given with --joints")
         found = pair_clouds(loaded, sources, done=before.done, operator=operator)
         evaluated = folder is None or all((folder / name).exists() for name in ("result.json", "report.html"))
         if not found.poses and (evaluated or not before.done):

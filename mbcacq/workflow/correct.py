@@ -194,7 +194,7 @@ def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
     if arm.simulated and not simulated_anyway:
         raise ConfigError(
             "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
-            "give that of a real arm (or --simulated-anyway for a program)"
+            "give that of a real arm (or --simulated-anyway for a program, --dry-run for a check)"
         )
     if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:
         raise ConfigError(

@@ -10,8 +10,10 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.bounded_read import bytes_of
-from mbcacq.files.table import Column, TableSchema, joint_columns, read_table
+from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.files.table_schema import JOINT_NAMES
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import RobotModel
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
 from mbcacq.quantities import DEGREE, in_degrees
@@ -25,7 +27,7 @@ _TEXT_MESSAGE = re.compile(r"mbcacq joints\s*\[([^\]]*)\]")
 
 @dataclass(frozen=True)
 class JointLog:
-    """q: number of a pose -> (n,) rad as logged. notes: a sentence for each row that is not used, or says something odd."""
+    """q: number of a pose -> (n,) rad, mm as logged. notes: a sentence for each row that is not used, or says something odd."""
 
     q: dict[int, np.ndarray]
     notes: list[str] = field(default_factory=list)
@@ -37,29 +39,33 @@ def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> 
     Raises ConfigError naming file and line; also where it is in radians, or of another plan.
     """
     if path.suffix.lower() == ".dat":
-        rows, number = _krl(path, loaded.cell.robot.n)
+        rows, number = _krl(path, loaded.cell.robot.axes)
     elif path.suffix.lower() in (".log", ".txt") and _TEXT_MESSAGE.search(_text(path)):
         rows, number = _messages(path, loaded.cell.robot.n)
     else:
-        rows, number = _table(path, loaded.cell.robot.n)
+        rows, number = _table(path, loaded.cell.robot)
     q = from_controller(loaded, rows)
     _refuse_radians(path, loaded, q, rows, poses)
-    return _paired(path, q, number, poses)
+    return _paired(path, q, number, poses, loaded.cell.robot.chain)
 
 
-def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
-    joints = joint_columns("q", n, unit="deg", aliases=JOINT_NAMES, assumed="deg")
+def _table(path: Path, robot: RobotModel) -> tuple[np.ndarray, list[int] | None]:
+    joints = []
+    for axis, heading in zip(robot.axes, robot.headings, strict=True):
+        name, _, unit = heading.rpartition("_")
+        others = tuple(other.format(axis[1:]) for other in JOINT_NAMES) if axis.startswith("A") else (axis,)
+        joints.append(Column(name, unit, aliases=others, assumed=unit))
     table = read_table(path, TableSchema("a log of joints", (Column("pose", kind="integer", required=False), *joints), preamble=True))
     number = [int(v) for v in table.integer("pose")] if table.has("pose") else None
     return table.numbers([column.name for column in joints]), number
 
 
-def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
+def _krl(path: Path, axes: tuple[str, ...]) -> tuple[np.ndarray, None]:
     rows: list[list[float]] = []
     for match in _AT.finditer(_text(path)):
-        values = [re.search(rf"\bA{k}\s+({_NUMBER})\s*(?:,|$)", match[2], re.IGNORECASE | re.ASCII) for k in range(1, n + 1)]
+        values = [re.search(rf"\b{axis}\s+({_NUMBER})\s*(?:,|$)", match[2], re.IGNORECASE | re.ASCII) for axis in axes]
         if not all(v is not None and np.isfinite(float(v[1])) for v in values):
-            raise ConfigError(f"{path}: mb_at[{match[1]}] has not the angles of {n} axes; copy the file from the controller anew")
+            raise ConfigError(f"{path}: mb_at[{match[1]}] has not the angles of {len(axes)} axes; copy the file from the controller anew")
         rows.append([float(v[1]) for v in values if v is not None])
     if not rows:
         raise ConfigError(f"{path}: holds no angles mb_at[..]; give the data list of the program, copied back from the controller")
@@ -79,20 +85,21 @@ def _text(path: Path) -> str:
     return bytes_of(path, MAX_BYTES, "give the log of the joint angles", part).decode("latin-1")
 
 
-def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:
-    """(R, P) rad: largest difference of a joint between each row and each pose."""
+def _away(q: np.ndarray, poses: list[PlannedPose], chain: Chain) -> np.ndarray:
+    """(R, P) rad: largest difference of a joint between each row and each pose; 1 mm of one that slides counts as 1 mrad."""
     planned = np.array([pose.q for pose in poses])
-    return np.max(np.abs(q[:, None] - planned[None]), axis=2)
+    return np.max(np.abs(q[:, None] - planned[None]) * chain.by_kind(1.0, 1e-3), axis=2)
 
 
 def _refuse_radians(path: Path, loaded: LoadedPlan, q: np.ndarray, rows: np.ndarray, poses: list[PlannedPose]) -> None:
     in_radians = from_controller(loaded, in_degrees(rows))
-    if np.median(_away(q, poses).min(axis=1)) > NEAR and np.median(_away(in_radians, poses).min(axis=1)) < NEAR:
+    chain = loaded.cell.robot.chain
+    if np.median(_away(q, poses, chain).min(axis=1)) > NEAR and np.median(_away(in_radians, poses, chain).min(axis=1)) < NEAR:
         raise ConfigError(f"{path}: its angles are in rad, not in deg; name the columns q1_rad.. or convert them")
 
 
-def _paired(path: Path, q: np.ndarray, number: list[int] | None, poses: list[PlannedPose]) -> JointLog:
-    away, notes, found = _away(q, poses), list[str](), dict[int, np.ndarray]()
+def _paired(path: Path, q: np.ndarray, number: list[int] | None, poses: list[PlannedPose], chain: Chain) -> JointLog:
+    away, notes, found = _away(q, poses, chain), list[str](), dict[int, np.ndarray]()
     reached = np.any(q != 0, axis=1) & (away.min(axis=1) < NEAR)
     if np.sum(reached) < 0.5 * np.sum(np.any(q != 0, axis=1)):
         raise ConfigError(

@@ -89,21 +89,49 @@ def test_a_program_of_what_is_left(plan):
         robot_program(loaded(plan), "csv", done=frozenset(range(16)))
 
 
-def test_joints_as_the_controller_counts_them():
+def test_joints_as_the_controller_counts_them(tmp_path):
     """J3 of a FANUC is counted from the horizontal: J3 = q3 - q2."""
-    robot = {**content()["robot"], "controller_joints": {"couplings": [{"axis": 3, "of": 2, "factor": -1}]}}
-
-    class Plan:
-        cell = type("Cell", (), {"robot": type("Robot", (), {"n": 6})})
-        plan = type("P", (), {"robot": type("R", (), {"controller_joints": None})})
-        lines, path = {("robot",): 1}, "plan.yaml"
-
-    from mbcacq.plan.schema import ControllerJoints
-
-    Plan.plan.robot.controller_joints = ControllerJoints(**robot["controller_joints"])
-    angles = to_controller(Plan, np.radians([1.0, 20, 50, 4, 5, 6]))
+    joints = {"couplings": [{"axis": 3, "of": 2, "factor": -1}]}
+    plan = loaded(written_plan(tmp_path, robot={**content()["robot"], "controller_joints": joints}))
+    angles = to_controller(plan, np.radians([1.0, 20, 50, 4, 5, 6]))
     assert angles == pytest.approx([1, 20, 30, 4, 5, 6])
-    assert np.degrees(from_controller(Plan, angles)) == pytest.approx([1, 20, 50, 4, 5, 6])
+    assert np.degrees(from_controller(plan, angles)) == pytest.approx([1, 20, 50, 4, 5, 6])
+
+
+@pytest.fixture
+def on_a_track(tmp_path):
+    track = {"name": "E1", "type": "prismatic", "carries": "arm", "direction": [1, 0, 0], "limits_mm": [0, 120], "speed_mm_s": 1000}
+    robot = {**content()["robot"], "external_axes": [track], "home_external": [20.0], "spread_axes": ["E1"]}
+    return written_plan(tmp_path, robot=robot)
+
+
+def test_krl_and_tables_move_external_axes(on_a_track, tmp_path):
+    """E1 in mm beside A1 to A6 in degrees: read back, and as the controller logs them."""
+    poses = expand(loaded(on_a_track))
+    assert np.ptp([pose.q[0] for pose in poses]) > 50  # the track takes part
+    for dialect in ("krl", "csv"):
+        folder = program_of(on_a_track, tmp_path / dialect, dialect)
+        moves = [value for kind, value in steps_of(folder, None, ("E1", *(f"A{k}" for k in range(1, 7)))) if kind == "move"]
+        q = from_controller(loaded(on_a_track), np.array(moves))
+        away = np.abs(q[:, None] - np.array([pose.q for pose in poses])).max(axis=2).min(axis=0)
+        assert away.max() < 1e-5
+        assert q[0] == pytest.approx(loaded(on_a_track).plan.robot.home)
+    text = (tmp_path / "krl" / "mbcacq_poses.src").read_text()
+    assert ",E1 20.00000}" in text
+    assert "$VEL_EXTAX[k]=25" in text
+    log = (tmp_path / "krl" / "mbcacq_poses.dat").read_text()
+    for k, pose in enumerate(poses, 1):
+        own = ",".join(f"A{i} {a:.5f}" for i, a in enumerate(np.degrees(pose.q[1:]), 1))
+        log = log.replace(f"mb_at[{k}]={{A1 0.00000,A2 0.00000,A3 0.00000,A4 0.00000,A5 0.00000,A6 0.00000,E1 0.00000}}",
+                          f"mb_at[{k}]={{{own},E1 {pose.q[0]:.5f}}}")  # fmt: skip
+    (tmp_path / "back.dat").write_text(log)
+    found = read_joint_log(tmp_path / "back.dat", loaded(on_a_track), poses)
+    np.testing.assert_allclose([found.q[pose.number] for pose in poses], [pose.q for pose in poses], atol=1e-5)
+
+
+def test_programs_of_other_makers_move_no_external_axes(on_a_track):
+    with pytest.raises(ConfigError, match="programs of ABB are written without external axes, which this plan has; take --for krl or csv"):
+        robot_program(loaded(on_a_track), "rapid")
 
 
 @pytest.mark.parametrize(

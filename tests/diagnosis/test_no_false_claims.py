@@ -13,7 +13,7 @@ from mbcacq.diagnosis.evidence.evidence_fit import kept_centres
 from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
-from mbcacq.diagnosis.output.notes import not_carried_over, rejected_poses, single_place
+from mbcacq.diagnosis.output.notes import not_carried_over, rejected_balls, rejected_poses, single_place
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -213,3 +213,15 @@ def test_no_centre_stands_out_of_noise_that_is_as_large_as_a_gross_error(plan):
 
     assert kept(coarse).all()
     assert 0 < np.sum(~kept(problem.noise)) < 0.04 * plan.n_centres
+
+
+def test_a_ball_of_which_every_centre_is_rejected_is_named_and_not_called_no_effect():
+    """It lies in its seat another way at each station: no shift of the ball describes it."""
+    obs = simulated.observe(simulated.plan(8, 0, 6), 131, [])
+    assert rejected_balls(obs, np.ones(obs.n_centres, bool)) == []
+    moved = np.random.default_rng(3).normal(size=(8, 3))
+    moved *= 0.15 / np.linalg.norm(moved, axis=1, keepdims=True)
+    loose = (obs.ball == 3)[:, None] * moved[obs.station[obs.pose]]
+    found = diagnose(replace(obs, xyz=obs.xyz + loose), workers=1)
+    assert found.verdict != "none"
+    assert any(note.startswith("48 of 48 centres of ball 4 were rejected") for note in found.notes)

@@ -147,10 +147,10 @@ def test_what_is_beyond_what_machines_have_was_not_tested():
         holds_for=ExclusionBand("order", 1.0, 1.5),
     )
     once = replace(step, holds_for=ExclusionBand("at_pose", 3, 118, (17,)))
-    assert "but at 1 moment between up to" in limit_lines([once])[0]
+    assert "(but 1 that these poses hide) up to" in limit_lines([once])[0]
     lines = limit_lines([step, slow, absurd, absorbed])
     assert lines == [
-        "Not excluded (95 %): joint_step at A6 at any pose from 3 to 118, but at 2 moments between up to step 0.0078° "
+        "Not excluded (95 %): joint_step at A6, beginning at any pose from 3 to 118 (but 2 that these poses hide) up to step 0.0078° "
         "(1.4 times the usual size), 0.22 mm in the workspace, 0.19 mm in a length",
         "Not excluded (95 %): gear_transmission_error at A2 of any order from 1.0 to 1.5 up to amplitude 0.0040°",
         "Not tested by these poses (only an effect of more than 10 times the usual size would show): mount_compliance at mount (compliance); "

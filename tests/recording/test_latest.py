@@ -58,7 +58,7 @@ def test_without_a_run_latest_says_how_to_start_one(desk):
     for command in ("view", "report", "calibrate", "diagnose"):
         done = CliRunner().invoke(app, [command, "latest"])
         assert done.exit_code == 2
-        assert "runs/latest does not exist, there is no run yet; start one" in done.stderr
+        assert "runs/latest does not exist, runs holds no run yet; give the folder of one, or start one" in done.stderr
     shutil.rmtree(new_run("runs/gone"))
     with pytest.raises(ConfigError, match="which is gone"):
         named_run(Path("latest"))

@@ -67,7 +67,7 @@ def test_a_mark_that_an_older_version_set_on_a_check_or_that_names_a_lost_folder
 
 def test_a_folder_with_checks_alone_has_no_latest_run(desk):
     recorded("2026-03-02T08-00-00_check-kuka", "2026-03-02T08:00:00")
-    with pytest.raises(ConfigError, match="there is no run yet"):
+    with pytest.raises(ConfigError, match="runs holds no run yet"):
         named_run(Path("latest"))
 
 

@@ -80,7 +80,7 @@ def test_a_report_of_an_observation_set(a_set, tmp_path):
     page = Page((tmp_path / "set.html").read_text(encoding="utf-8"))
     assert said["bytes"] == (tmp_path / "set.html").stat().st_size
     assert "Calibrated, not verified" in page.words
-    assert "Next: Measure an artefact that judges" in page.words
+    assert "Next: Predict poses that are held out" in page.words
     assert "No diagnosis was made of these data" in page.words
     assert "Accuracy map" in page.words
 
@@ -148,7 +148,7 @@ def test_timing_and_health_of_devices_are_reported(tmp_path):
     ("change", "what"),
     [
         ({}, "Put the result to use"),
-        ({"verification": None}, "Measure an artefact that judges"),
+        ({"verification": None}, "Predict poses that are held out"),
         ({"limit": 0.3}, "Ask why"),
         ({"noise": 3.0}, "Ask why"),
         ({"limit": 0.457}, "Decide with a smaller uncertainty"),

@@ -17,9 +17,11 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
 from mbcacq.report import report_from_result
+from mbcacq.report.content import Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_motion import motion_pictures
 from mbcacq.report.sources.run_folder import read_run_identity
+from mbcacq.report.verdict import beyond_expected_sentence, one_sign
 
 
 def headline(verdict):
@@ -311,3 +313,21 @@ def test_many_stations_share_one_limit_line(tmp_path):
 def test_what_rounds_to_zero_has_no_sign():
     assert [fixed_point(v) for v in (-0.0004, -0.0, -0.0006)] == ["0.000", "0.000", "−0.001"]
     assert [signed(v) for v in (-0.0004, 0.0, 0.02, -0.02, None)] == ["0.000", "0.000", "+0.020", "−0.020", "–"]
+
+
+def made_spacing(after, common=None):
+    n = len(after)
+    return Spacing([f"b{k}" for k in range(n)], np.full(n, 735.0), np.full(n, 0.5), np.array(after), np.full(n, 0.01), common=common)
+
+
+def test_places_beyond_their_expectation_are_chance_or_a_lack_by_their_number():
+    """Beyond k = 2 lie 4.55 % of normal errors: one of ten places in 37 % of calibrations, three of ten in 0.8 %."""
+    assert "Chance alone leaves as many in about 37%" in beyond_expected_sentence(made_spacing([0.03] + [0.0] * 9))
+    assert "The model lacks something" in beyond_expected_sentence(made_spacing([0.03] * 3 + [0.0] * 7))
+    assert beyond_expected_sentence(made_spacing([0.01] * 10)) == ""
+
+
+def test_errors_of_one_sign_are_explained_by_the_uncertainty_that_all_places_share_or_have_a_cause():
+    assert "U = 30 µm (k = 2), which explains it" in one_sign(made_spacing([0.02] * 10, common=0.015))
+    assert "A common cause acts like this" in one_sign(made_spacing([0.04] * 10, common=0.015))
+    assert one_sign(made_spacing([0.02] * 9 + [-0.02], common=0.015)) == ""

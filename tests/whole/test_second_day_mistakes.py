@@ -87,9 +87,21 @@ AT_WORK = []  # the locks of others
 
 
 MISTAKES = [  # what happened, what is typed, what the sentence says
-    (removed("result.json"), "export runs/x --results out", "give a result.json, or the run folder that holds one"),
-    (removed("result.json"), "check runs/x plans/kuka.yaml --dry-run", "give a result.json, or the run folder that holds one"),
-    (removed("result.json"), "verify runs/x runs/x", "give a result.json, or the run folder that holds one"),
+    (
+        removed("result.json"),
+        "export runs/x --results out",
+        "this recording is not calibrated yet: mbcacq calibrate runs/x --out runs/x/result.json",
+    ),
+    (
+        removed("result.json"),
+        "check runs/x plans/kuka.yaml --dry-run",
+        "this recording is not calibrated yet: mbcacq calibrate runs/x --out runs/x/result.json",
+    ),
+    (
+        removed("result.json"),
+        "verify runs/x runs/x",
+        "this recording is not calibrated yet: mbcacq calibrate runs/x --out runs/x/result.json",
+    ),
     (removed("run.rrd"), "report runs/x", "copied by half"),
     (removed("run.rrd"), "diagnose runs/x", "copied by half"),
     (removed("run.rrd"), "recover runs/x", "holds no recording (run.rrd)"),
@@ -127,7 +139,7 @@ MISTAKES = [  # what happened, what is typed, what the sentence says
     (written("run.rrd", ""), "recover runs/x", "is empty, nothing was ever written into it"),
     (moved_plan, "plan show moved.yaml", "correct the path (it is relative to the plan)"),
     (moved_plan, "run moved.yaml --dry-run", "correct the path (it is relative to the plan)"),
-    (renamed_runs, "report latest", "there is no run yet"),
+    (renamed_runs, "report latest", "runs holds no run yet"),
     (renamed_runs, "fleet runs --out arms", "runs does not exist"),
     (removed_latest, "report latest", "names the run runs/monday, which is gone"),
     (a_check("check-result.json", ""), "report runs/x", "repeat the check"),

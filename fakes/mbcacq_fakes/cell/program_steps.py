@@ -14,7 +14,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.protocols.krc.krl import Interpreter, KrlError, Program, Struct
 
-Step = tuple[str, Any]  # ('move', angles deg) or ('expose', number of the pose): one exposure
+Step = tuple[str, Any]  # ('move', positions deg, mm) or ('expose', number of the pose): one exposure
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
 _LIST = rf"({_NUMBER}(?:\s*,\s*{_NUMBER})*)"
 _FORMS = {  # move, exposures (pose, how many), whether angles are in rad
@@ -24,15 +24,18 @@ _FORMS = {  # move, exposures (pose, how many), whether angles are in rad
     ".pg": (rf"MOVE #PPOINT\({_LIST}\)", r"CALL mb_expose\((\d+), (\d+)\)", False),
 }
 TICKS = 1_000_000
+ARM = tuple(f"A{k}" for k in range(1, 7))
 
 
-def steps_of(folder: Path, pulses_per_deg: Any = None) -> list[Step]:
-    """The steps of the program in a folder. pulses_per_deg: of the plan, for a job of pulses. Raises ConfigError if there is none, or
-    one that cannot be read."""
+def steps_of(folder: Path, pulses_per_deg: Any = None, axes: tuple[str, ...] = ARM) -> list[Step]:
+    """The steps of the program in a folder. pulses_per_deg: of the plan, for a job of pulses; axes: in the order of the positions.
+
+    Raises ConfigError if there is none, or one that cannot be read.
+    """
     for path in sorted(folder.glob("*")):
         suffix = path.suffix.lower()
         if suffix == ".src":
-            return _krl(folder)
+            return _krl(folder, axes)
         if suffix == ".jbi":
             return list(_inform(path, pulses_per_deg))
         if suffix in _FORMS:
@@ -71,7 +74,7 @@ def _table(path: Path) -> Iterator[Step]:
     with path.open(encoding="ascii", newline="") as file:
         for row in csv.DictReader(file):
             if row["do"] == "move":
-                yield "move", np.array([float(v) for name, v in row.items() if re.fullmatch(r"q\d+_deg", name)])
+                yield "move", np.array([float(v) for name, v in row.items() if re.fullmatch(r"[qe]\d+_(deg|mm)", name)])
             elif row["do"] == "expose":
                 for _ in range(int(row["clouds"])):
                     yield "expose", int(row["pose"])
@@ -82,13 +85,13 @@ class _Moves:
 
     moving = False
 
-    def __init__(self, steps: list[Step], system: Any) -> None:
-        self._steps, self._system = steps, system
+    def __init__(self, steps: list[Step], system: Any, axes: tuple[str, ...]) -> None:
+        self._steps, self._system, self._axes = steps, system, tuple(name.lower() for name in axes)
 
     def begin(self, target: Any) -> None:
-        angles = [getattr(target, f"a{k}") for k in range(1, 7)]
-        self._steps.append(("move", np.array(angles)))
-        self._system.axis_act_meas = Struct(**{f"a{k}": float(a) for k, a in enumerate(angles, 1)})
+        at = {name: float(getattr(target, name)) for name in self._axes}
+        self._steps.append(("move", np.array(list(at.values()))))
+        self._system.axis_act_meas = Struct(**at)
 
     def brake(self) -> None:
         return
@@ -110,13 +113,13 @@ class _Outputs(list):
         super().__setitem__(index, value)
 
 
-def _krl(folder: Path) -> list[Step]:
+def _krl(folder: Path, axes: tuple[str, ...]) -> list[Step]:
     """Runs the program; where it halts, it is started again."""
     steps: list[Step] = []
 
     system: Any = SimpleNamespace()
     sources = {p.name: p.read_text(encoding="ascii") for p in folder.iterdir() if p.suffix.lower() in (".src", ".dat")}
-    system.vel_axis, system.acc_axis, system.advance = [0] * 7, [0] * 7, 3
+    system.vel_axis, system.acc_axis, system.vel_extax, system.acc_extax, system.advance = *([0] * 7 for _ in range(4)), 3
     system.axis_act_meas, system.stopmess = Struct(), False
 
     def built_in(*_: Any) -> Iterator[Any]:
@@ -127,7 +130,7 @@ def _krl(folder: Path) -> list[Step]:
         program = Program({k: v.replace("#INITMOV", "0") for k, v in sources.items()}, system, {"bas": built_in, "ir_stopm": built_in})
         system.out = _Outputs(lambda: steps.append(("expose", program.globals.mb_pose)))
         name = next(Path(name).stem for name in sources if name.lower().endswith(".src"))
-        running = Interpreter(program, name.lower(), _Moves(steps, system))
+        running = Interpreter(program, name.lower(), _Moves(steps, system, axes))
         now = 0.0
         for _ in range(TICKS):
             running.tick(now)

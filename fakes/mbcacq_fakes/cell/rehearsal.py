@@ -60,7 +60,7 @@ def rehearse(loaded: Any, poses: list[Any], program: Path, out: Path, *, seed: i
     loaded, poses: the plan and its expansion (read by name). Returns the files. Raises ConfigError for a program that is none.
     """
     spec = loaded.plan.robot.controller_joints
-    steps = steps_of(program, None if spec is None else spec.pulses_per_deg)
+    steps = steps_of(program, None if spec is None else spec.pulses_per_deg, tuple(loaded.cell.robot.axes))
     out.mkdir(parents=True, exist_ok=True)
     files, rows = [], []
     for cloud in taken(loaded, poses, steps, seed):
@@ -70,7 +70,7 @@ def rehearse(loaded: Any, poses: list[Any], program: Path, out: Path, *, seed: i
         files.append(path)
         if not rows or rows[-1][0] != cloud.pose:
             rows.append([cloud.pose, *(f"{angle:.6f}" for angle in to_controller(loaded, cloud.q))])
-    heads = ["pose", *(f"q{k}_deg" for k in range(1, loaded.cell.robot.n + 1))]
+    heads = ["pose", *loaded.cell.robot.headings]
     log = write_file(out / "joints.csv", "".join(f"{','.join(map(str, row))}\n" for row in (heads, *rows)))
     return [*files, log]
 

@@ -52,7 +52,8 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     if dropped:
         rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
         out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
-        out += rejected_poses(full.geometry_only.linear.obs, keep)
+        obs = full.geometry_only.linear.obs
+        out += [*rejected_poses(obs, keep), *rejected_balls(obs, keep)]
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
@@ -75,6 +76,16 @@ def rejected_poses(obs: Observations, keep: np.ndarray) -> list[str]:
     which = f"pose {named}" if len(whole) == 1 else f"{len(whole)} poses ({named})"
     return [
         f"all centres of {which} were rejected: that may be an effect of few poses, of which this diagnosis then says nothing; look at them"
+    ]
+
+
+def rejected_balls(obs: Observations, keep: np.ndarray) -> list[str]:
+    """A sentence for each ball of which most centres were rejected: no noise does so. keep: as of ``rejected_poses``."""
+    count, kept = (np.bincount(obs.ball[chosen], minlength=len(obs.cell.ball_ids)) for chosen in (slice(None), keep))
+    return [
+        f"{count[k] - kept[k]} of {count[k]} centres of ball {obs.cell.ball_ids[k]} were rejected: it may be loose or damaged, and this "
+        "diagnosis says nothing of it; look at the ball and its seat"
+        for k in np.flatnonzero((count > 1) & (2 * kept < count))
     ]
 
 

@@ -323,8 +323,8 @@ def limited(limit: ExclusionLimit) -> str:
         return at
     if band.parameter == "at_pose":
         between = len(band.left_out)
-        but = f", but at {between} {'moment' if between == 1 else 'moments'} between" if between else ""
-        return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
+        but = f" (but {between} that these poses hide)" if between else ""
+        return f"{at}, beginning at any pose from {band.low:.0f} to {band.high:.0f}{but}"
     words, unit, factor = split_unit(band.parameter)
     low, high = (significant(factor * end, 2) for end in (band.low, band.high))
     return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"

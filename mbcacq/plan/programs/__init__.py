@@ -31,7 +31,8 @@ class ControllerLanguage:
     """maker: whose controllers read it. axes: how many such a program can have, or () for any. files: names, NAME in place of the
     program's, with the template of each. joints: where the angles that the controller measured are found afterwards. load: how the program
     gets onto the controller and is started. weight: what knows the scanner's weight. slow: the mode for the first run. counts: how the
-    controller counts joints, where that differs from most robot files; the plan then has to say how."""
+    controller counts joints, where that differs from most robot files; the plan then has to say how. external: whether programs
+    move external axes."""
 
     maker: str
     axes: tuple[int, ...]
@@ -41,6 +42,7 @@ class ControllerLanguage:
     weight: str = "Set tool and load data: the scanner with its bracket. The moves are in joint angles; no tool or base is used"
     slow: str = "manual mode at reduced speed"
     counts: str = ""
+    external: bool = False
     line_end: str = "\n"
 
 
@@ -52,6 +54,7 @@ DIALECTS = {
         joints="in NAME.dat, copied back from the controller",
         load="copy both files to KRC:\\R1\\Program; select NAME in T1",
         slow="T1",
+        external=True,
     ),
     "rapid": ControllerLanguage(
         maker="ABB",
@@ -94,7 +97,9 @@ DIALECTS = {
         slow="TEACH",
         line_end="\r\n",
     ),
-    "csv": ControllerLanguage("any other", (), {}, "wherever the controller writes them", "read it by a program of your own"),
+    "csv": ControllerLanguage(
+        "any other", (), {}, "wherever the controller writes them", "read it by a program of your own", external=True
+    ),
 }
 
 
@@ -104,7 +109,9 @@ def written(loaded: LoadedPlan, program: MotionProgram, dialect: str) -> dict[st
     language = DIALECTS.get(dialect)
     if language is None:
         raise ConfigError(f"there is no language '{dialect}' of robot programs; choose one of {', '.join(DIALECTS)}")
-    if language.axes and program.n not in language.axes:
+    if program.external and not language.external:
+        raise ConfigError(f"programs of {language.maker} are written without external axes, which this plan has; take --for krl or csv")
+    if language.axes and program.n - program.external not in language.axes:
         raise ConfigError(
             f"{loaded.cell.robot.name} has {program.n} axes, and programs of {language.maker} are written for "
             f"{' or '.join(map(str, language.axes))}; take --for csv"
@@ -157,6 +164,6 @@ def _table(program: MotionProgram) -> str:
 def _csv(program: MotionProgram, headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*headings, *(f"q{k}_deg" for k in range(1, program.n + 1))])
+    writer.writerow([*headings, *program.headings])
     writer.writerows(rows)
     return out.getvalue()

@@ -30,7 +30,7 @@ class Trigger:
 
 @dataclass(frozen=True)
 class MoveTo:
-    """A joint motion, exact at its end. angles: (n,) deg as the controller counts them; duration_s: at the plan's speed, None if nobody
+    """A joint motion, exact at its end. angles: (n,) deg, mm as the controller counts them; duration_s: at the plan's speed, None if nobody
     knows from where it begins; note: for people."""
 
     do: ClassVar = "move"
@@ -70,14 +70,18 @@ class PlaceArtefact:
 
 @dataclass(frozen=True)
 class MotionProgram:
-    """One session. speed, acceleration: shares of what the axes can do, as in a run. speed_rad_s, acceleration_rad_s2: of the slowest
-    axis. digest: of the plan, so that clouds of another one can be told apart."""
+    """One session.
+
+    axes: names, in the order of positions; headings: of these in tables. speed, acceleration: shares of what the axes can do, as in a run.
+    speed_rad_s, acceleration_rad_s2: of the slowest axis. digest: of the plan, so that clouds of another one can be told apart.
+    """
 
     name: str
     plan: str
     digest: str
     robot: str
-    n: int
+    axes: tuple[str, ...]
+    headings: tuple[str, ...]
     steps: tuple[MoveTo | ExposeAt | PlaceArtefact, ...]
     trigger: Trigger
     settle_s: float
@@ -85,6 +89,19 @@ class MotionProgram:
     acceleration: float
     speed_rad_s: float
     acceleration_rad_s2: float
+
+    @property
+    def n(self) -> int:
+        return len(self.axes)
+
+    @property
+    def external(self) -> int:
+        """How many axes are external ones."""
+        return sum(name.startswith("E") for name in self.axes)
+
+    def by_name(self, positions: Sequence[float]) -> list[tuple[str, float]]:
+        """Positions with the names of their axes, those of the arm first: as KRL has them."""
+        return sorted(zip(self.axes, positions, strict=True))
 
     @property
     def title(self) -> list[str]:
@@ -156,7 +173,8 @@ def motion_program(
         plan=loaded.plan.name,
         digest=digest,
         robot=loaded.cell.robot.name,
-        n=loaded.cell.robot.n,
+        axes=loaded.cell.robot.axes,
+        headings=loaded.cell.robot.headings,
         steps=tuple(steps),
         trigger=trigger or Trigger(),
         settle_s=loaded.plan.robot.settle_s,

@@ -44,7 +44,8 @@ def named_run(path: Path, kinds: frozenset[RunKind] = CALIBRATED_FROM) -> Path:
         return found
     if marked is None or marked.is_dir():
         what = "run" if RunKind.RUN in kinds else "check"
-        raise ConfigError(f"{mark} does not exist, there is no {what} yet; start one, such as mbcacq run plans/quick.yaml --dry-run")
+        advice = "give the folder of one, or start one: mbcacq run kuka --dry-run"
+        raise ConfigError(f"{mark} does not exist, {mark.parent} holds no {what} yet; {advice}")
     raise ConfigError(f"{mark} names the run {marked}, which is gone; give the folder of another run")
 
 

@@ -144,11 +144,8 @@ def spacing_of(result: Mapping[str, Any]) -> Spacing | None:
     more = []
     if verification.get("expected_mean_mm") is not None:
         more.append(("mean magnitude expected from the fit", f"{uncertainty(verification['expected_mean_mm'])} mm"))
-    more += [
-        ("uncertainty of the mean error that all places share, U (k = 2)", f"{uncertainty(K * value)} mm")
-        for key, value in verification.items()
-        if key == "common_mm" and isinstance(value, float)
-    ]
+    if (common := verification.get("common_mm")) is not None:
+        more.append(("uncertainty of the mean error that all places share, U (k = 2)", f"{uncertainty(K * common)} mm"))
     return Spacing(
         [f"{p['station']}" + (f": {p['balls'][0]}–{p['balls'][1]}" if several else "") for p in places],
         *(np.array([p[key] for p in places], dtype=float) for key in ("certified_mm", "before_mm", "after_mm")),
@@ -157,6 +154,7 @@ def spacing_of(result: Mapping[str, Any]) -> Spacing | None:
         limit=verification.get("limit_mm"),
         more=more,
         independent=not any(str(p["station"]) in fitted for p in places),
+        common=common,
     )
 
 
