@@ -189,8 +189,7 @@ def _is_drift(look: _Look, kinds: list[KindOfChange]) -> bool:
     clock = np.argsort(obs.measuring_order).astype(float) if obs.time_s is None else obs.time_s - obs.time_s.min()
     drifts = [1 - np.exp(-clock / (tau * clock.max())) for tau in WARMING]
     log_bf = [look.test.of(kind.columns * drift[obs.pose][:, None, None]).log_bayes_factor[0] for drift in drifts]
-    drifting = np.logaddexp.reduce(log_bf) - np.log(len(WARMING)) + np.log(kind.weight)
-    return bool(drifting > np.logaddexp.reduce(look.log_bf[look.kind]))
+    return bool(np.logaddexp.reduce(log_bf) + np.log(kind.weight / len(WARMING)) > np.logaddexp.reduce(look.log_bf[look.kind]))
 
 
 def _noise_beside(at: Solution, kind: KindOfChange, moment: int, start: Noise) -> Noise:

@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import BEYOND, UNKNOWN, EffectTerm, key_of
-from mbcacq.effects.functions import Column, DescribedPart, Product
+from mbcacq.effects.effect_term import BEYOND, UNKNOWN, EffectTerm
+from mbcacq.effects.functions import DescribedPart, Product
 from mbcacq.effects.learnt_range import is_angle
 from mbcacq.geometry import se3
 
@@ -31,27 +32,14 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     ending = [t for t in model.terms if t.name == UNKNOWN and len(t.covariates) == 1 and is_angle(*t.covariates)] if model else []
     if model is None or not ending:
         return cell
-    columns = dict[Place, Column]()
-    for place, product in _changes(cell, without, named, ending):
-        columns[place] = (*columns.get(place, ()), product)
+    changes = list(_changes(cell, without, named, ending))
+    parts = [DescribedPart(*place, (tuple(p for at, p in changes if at == place),)) for place in dict.fromkeys(at for at, _ in changes)]
     where = tuple(dict.fromkeys(at for t in ending for at in t.where))
     angles = "*".join(sorted({name for t in ending for name in t.covariates}))
-    change = EffectTerm(
-        name=UNKNOWN,
-        where=where,
-        depends_on=angles,
-        variant=BEYOND,
-        parts=tuple(DescribedPart(*place, (column,)) for place, column in columns.items()),
-        names=(key_of(UNKNOWN, where, angles, BEYOND, {}),),
-        units=("",),
-        coefficients=np.ones(1),
-        std=np.zeros(1),
-        sigma=np.ones(1),
-        typical=np.ones(1),
-        ranges={name: known for t in (*named.terms, *ending) for name, known in t.ranges.items()},
-        clamped=tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped})),
-    )
-    return replace(cell, effects=replace(model, terms=(*model.terms, change)))
+    held = tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped}))
+    here = Covariates(cell.fit.observations)
+    change = EffectTerm.of_group(here, where, angles, parts, np.ones(1), ("",), BEYOND, clamped=held)
+    return replace(cell, effects=replace(model, terms=(*model.terms, replace(change, coefficients=np.ones(1)))))
 
 
 def _changes(

@@ -215,9 +215,8 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
         stage = stage.sized(stage.system(noise), last=True)
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
-    adjusted = Adjustment(
-        solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
-    )
+    used, open_ones = fitted.fit.weights, list(fitted.fit.undetermined)
+    adjusted = Adjustment(solution=at, noise=noise, weights=used, preliminary=fitted.preliminary, found=open_ones)
     result = with_uncertain_sizes(adjusted_cell(chosen, adjusted), stage)
     sized = (replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
     model = replace(parametric, terms=(*parametric.terms, *sized))

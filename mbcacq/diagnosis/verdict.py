@@ -65,10 +65,9 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     mismatch = mismatch_table(full, contributions, before)
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
-    if once or (effects and all(e.trend for e in effects)):
-        verdict = "cannot_tell"  # a name that parts do not give again, or trends alone, explain nothing
-    if verdict in ("none", "explained") and rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep):
-        verdict = "cannot_tell"  # what is left out is not explained
+    left_out = verdict in ("none", "explained") and rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep)
+    if once or left_out or (effects and all(e.trend for e in effects)):
+        verdict = "cannot_tell"  # a name that parts do not give again, trends alone, or less than what was measured explain nothing
     said = [*not_carried_over(verdict, validation, effects), *sum_of_shares(mismatch, before, after), *notes(setup, full)]
     said += [*of_effects(setup, full, found), *([] if too_little is None else [too_little]), *undecided_evidence(full)]
     return Diagnosis(

@@ -174,7 +174,7 @@ def gocator_health(data: bytes) -> None:
 
 
 def gocator_reply(data: bytes) -> None:
-    *_, body = control._read_reply(Stub(data), "reply", float("inf"))
+    *_, body = control._read_reply("reply", Stub(data), float("inf"))
     for parse in (information.parse_info_1, information.parse_info_2, information.parse_states):
         try:
             parse(body)
@@ -202,8 +202,8 @@ def gopxl_seeds() -> tuple[bytes, ...]:
         kind = gdp_encode.UNIFORM_SURFACE if uniform else gdp_encode.SURFACE_POINTS
         bodies = (
             (gdp_encode.STAMP, gdp_encode.stamp(3, 12.5)),
-            (kind, gdp_encode.surface(tilted_plane(), uniform, True, 900.0, True)),
-            (gdp_encode.MEASUREMENT, gdp_encode.measurement(1.25, True)),
+            (kind, gdp_encode.surface(tilted_plane(), uniform, True, 900.0)),
+            (gdp_encode.MEASUREMENT, gdp_encode.measurement(1.25)),
         )
         out.append(b"".join(gdp_encode.message(k, gdp_encode.common("a:b", 1, i == 2, i), body) for i, (k, body) in enumerate(bodies)))
     return tuple(out)

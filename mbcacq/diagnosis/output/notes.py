@@ -52,8 +52,8 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     if dropped:
         rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
         out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
-        out += rejected_poses(full.geometry_only.linear.obs, keep)
-        out += rejected_balls(full.geometry_only.linear.obs, keep)
+        obs = full.geometry_only.linear.obs
+        out += [*rejected_poses(obs, keep), *rejected_balls(obs, keep)]
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
