@@ -95,6 +95,7 @@ def diagnose(
         result = replace(result, notes=noted, noise_depends_on=dependences)
         if not refitting.begun:
             return result
+        del problem, part, fit, full, early, again, halves, validation, parts  # they would take their memory beside the refit's
         begins("fitting the cell with its effects")
         model, further = refitting.answer()
         return replace(result, model=model, notes=(*result.notes, *further))
