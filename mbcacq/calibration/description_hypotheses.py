@@ -93,7 +93,7 @@ def _robot_units(o: Observations) -> Iterator[Misreading]:
     alpha = np.abs(o.cell.robot.chain.alpha)
     if in_degrees(alpha).max() < RADIANS and alpha.any():
         what = "the robot's alpha and theta read as radians, not degrees"
-        yield Misreading(what, "unit", lambda o: _with_chain(o, _angles_in_degrees))
+        yield Misreading(what, "unit", lambda o: _with_chain(o, lambda c: replace(c, theta=in_degrees(c.theta), alpha=in_degrees(c.alpha))))
 
 
 def _flange(o: Observations) -> Iterator[Misreading]:
@@ -193,10 +193,6 @@ def _angles(o: Observations, matrix: np.ndarray) -> Observations:
 def _with_chain(o: Observations, change: Callable[[Chain], Chain]) -> Observations:
     robot = replace(o.cell.robot, chain=change(o.cell.robot.chain))
     return replace(o, cell=replace(o.cell, robot=robot))
-
-
-def _angles_in_degrees(c: Chain) -> Chain:
-    return replace(c, theta=in_degrees(c.theta), alpha=in_degrees(c.alpha))
 
 
 def _centres(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:

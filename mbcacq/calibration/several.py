@@ -110,7 +110,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
     """Each coefficient of the effects on the arm in every recording by itself, with the geometry of all, at a calibration of all."""
     obs = whole.fit.observations
     assert obs.recording is not None, "asked of several recordings only"
-    known = {name: t for t in model.terms if _differs(t) for name in t.names}
+    known = {name: t for t in model.terms if t.where[0].startswith(ON_THE_ARM) and not t.bound_to_recording for name in t.names}
     if not known:
         return []
     built, start = [], []
@@ -144,10 +144,6 @@ def deviations(whole: CalibratedCell, between: dict[str, float]) -> list[Term]:
         for j, name in enumerate(t.names)
         if name in between
     ]
-
-
-def _differs(t: Any) -> bool:
-    return t.where[0].startswith(ON_THE_ARM) and not t.bound_to_recording
 
 
 def _of_each_recording(obs: Observations, t: Term, j: int, sigma: float) -> Term:

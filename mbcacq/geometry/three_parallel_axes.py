@@ -111,7 +111,8 @@ class ThreeParallelAxesInverse:
         away = np.abs(self.chain.flange(q) - targets[pose])
         lever = np.maximum(1.0, np.abs(targets[pose, :3, 3]).max(axis=1, initial=0.0))
         right = (away[:, :3, :3].max(axis=(1, 2)) < AGREEMENT) & (away[:, :3, 3].max(axis=1) < AGREEMENT * lever)
-        return [_without_doubles(with_full_turns(q[right & (pose == k)], low, high)) for k in range(len(targets))]
+        each = [with_full_turns(q[right & (pose == k)], low, high) for k in range(len(targets))]
+        return [one[np.unique(one.round(9), axis=0, return_index=True)[1]] for one in each]  # two branches are one where they meet
 
     def nearest(self, T_base_flange: np.ndarray, q: np.ndarray) -> np.ndarray | None:
         """The solution (6,) rad at a pose (4, 4) that is closest to ``q`` (6,), or None."""
@@ -122,11 +123,6 @@ class ThreeParallelAxesInverse:
         """a, b (P,) of n . R(-q1) lever = a cos q1 + b sin q1; lever: (P, 3). What lies along axis 1 is square to n."""
         n = self.axis[1]
         return lever @ n, np.cross(self.axis[0], n) @ lever.T
-
-
-def _without_doubles(q: np.ndarray) -> np.ndarray:
-    """Two branches are one where they meet."""
-    return q[np.unique(q.round(9), axis=0, return_index=True)[1]]
 
 
 def _meeting(p: np.ndarray, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:

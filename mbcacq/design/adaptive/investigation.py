@@ -186,7 +186,11 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
         return replace(made, end=f"{_known(look, made)}, and no view that can be taken shows most of them")
     if not chosen.visits:
         return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look, made))
-    return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(grown, chosen.visits, _visits(grown) + 1))
+    return replace(
+        made,
+        reasons=tuple(chosen.reasons),
+        steps=steps_of(grown, chosen.visits, 1 + sum(isinstance(step, Taught) for step in grown.plan.steps)),
+    )
 
 
 def _acts_in_time(label: str) -> bool:
@@ -253,10 +257,6 @@ def _futile(chosen: NextPoses, look: InterimEvidence, made: Decision) -> str:
     if chosen.futile and chosen.open_pairs:
         return "; ".join(pair_in_words(pair) for pair in chosen.open_pairs)
     return f"nothing that can be reached would decide more; {_open(look, made)}"
-
-
-def _visits(grown: LoadedPlan) -> int:
-    return sum(isinstance(step, Taught) for step in grown.plan.steps)
 
 
 def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:

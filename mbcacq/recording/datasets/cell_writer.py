@@ -92,7 +92,7 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
         Flow(
             _kind_of_joint(robot, i)
             | {joint_key(k, kind[i]) if k in QUANTITIES else k: v[i] for k, v in columns.items()}
-            | _drive(robot, i)
+            | ({} if robot.drive(i) is None else {"drive": robot.drive(i)})
         )
         for i in range(n)
     ]
@@ -113,10 +113,6 @@ def _kind_of_joint(robot: RobotModel, i: int) -> dict[str, Any]:
             unit = 1.0 if slides[i] == slides[leader] else (in_degrees(1.0) if slides[leader] else from_degrees(1.0))
             named["follows"] = Flow({"link": leader + 1, "ratio": float(ratio * unit)})
     return out | named | ({"carries": "artefact"} if i < robot.chain.floor else {})
-
-
-def _drive(robot: RobotModel, i: int) -> dict[str, Any]:
-    return {} if robot.drive(i) is None else {"drive": robot.drive(i)}
 
 
 def _artefact(artefact: Artefact) -> dict[str, Any]:

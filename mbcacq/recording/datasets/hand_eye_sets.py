@@ -49,7 +49,7 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
             return in_motion
         if (profiles := read_profiles(points, options, poses)) is not None:
             return profiles
-        return understood(_paired(first, files[1], options), _without_columns(options))
+        return understood(_paired(first, files[1], options), replace(options, columns={}))
     if len(files) > 1:
         raise ConfigError("give one table, one file of samples, one folder, or two tables of poses (the flange's, then the target's)")
     if first.is_dir():
@@ -58,10 +58,6 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         return _of_samples(first, options)
     table = table_of(first, options)
     return read_profiles(table, options) or read_lengths(table, options) or read_loose_table(first, options)
-
-
-def _without_columns(options: TableOptions) -> TableOptions:
-    return replace(options, columns={})
 
 
 def _of_samples(path: Path, options: TableOptions) -> UnderstoodTable:

@@ -219,7 +219,7 @@ def _tables(batch: pa.RecordBatch, archetype: str, only: Collection[str] = ()) -
     out = {}
     for i in range(batch.num_columns):
         field = batch.schema.field(i)
-        if _archetype(field) == archetype and (not only or _short_name(field) in only):
+        if (field.metadata or {}).get(b"rerun:archetype", b"").decode() == archetype and (not only or _short_name(field) in only):
             flat = batch.column(i).flatten().to_numpy(zero_copy_only=False)
             out[_short_name(field)] = flat.reshape(batch.num_rows, -1)
     return out
@@ -267,10 +267,6 @@ def _cell(column: pa.Array, row: int) -> Any:
 
 def _short_name(field: pa.Field) -> str:
     return field.name.rsplit(":", 1)[-1]
-
-
-def _archetype(field: pa.Field) -> str:
-    return (field.metadata or {}).get(b"rerun:archetype", b"").decode()
 
 
 def _mapping(row: Row, prefix: str) -> dict[str, float]:

@@ -26,7 +26,9 @@ def find_gaps(folder: Path | str) -> list[str]:
     entries = read_journal(folder)
     measured = _values(entries, "pose_done", "pose")
     planned = max(_values(entries, "run_started", "n_poses"), default=0)
-    out = [str(e.get("text", "")) for e in entries if e.get("event") == "gap" and not _measured_later(e, measured)]
+    out = [
+        str(e.get("text", "")) for e in entries if e.get("event") == "gap" and not (e.get("kind") == "pose" and e.get("pose") in measured)
+    ]  # measured when resumed
     left_out = _values([e for e in entries if e.get("kind") == "pose"], "gap", "pose")
     if missing := sorted(set(range(planned)) - measured - left_out):
         out.append(f"{len(missing)} of {planned} planned poses were not measured: {_numbers(missing)}")
@@ -59,11 +61,6 @@ def _damage(poses: set[int]) -> list[str]:
         return []
     many = f"pose {min(poses)} was" if len(poses) == 1 else f"{len(poses)} poses ({_numbers(sorted(poses))}) were"
     return [f"{many} measured, but the recording holds no intact values (see mbcacq recover --check); a resumed run measures anew"]
-
-
-def _measured_later(entry: dict[str, Any], measured: set[int]) -> bool:
-    """Whether the entry is a pose that was left out and then measured when the run was resumed."""
-    return entry.get("kind") == "pose" and entry.get("pose") in measured
 
 
 def _interruptions(entries: list[dict[str, Any]]) -> list[str]:
