@@ -141,7 +141,7 @@ def _frame_table(what: str, T: list[list[float]], std: list[float | None]) -> Ta
 
 def hand_eye(result: dict[str, Any]) -> Table:
     std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
-    what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
+    what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye; A B C: z y' x'')"
     return _frame_table(what, result["T_flange_scanner"], [std.get(f"hand_eye.{c}") for c in ("x", "y", "z", "rz", "ry", "rx")])
 
 
