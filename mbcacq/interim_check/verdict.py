@@ -239,8 +239,7 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
         names, units = (r.parameters, r.units) if named else ((), ())
-        about = Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, explains=chi2 / max(most, 1e-300))
-        out.append(about)
+        out.append(Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, explains=chi2 / max(most, 1e-300)))
     return tuple(out)
 
 
