@@ -109,7 +109,7 @@ def shah(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     K = np.einsum("kij,klm->iljm", RA, RB).reshape(9, 9)  # rows of R_A R_X R_B' as products with the rows of R_X
     U, _, Vt = np.linalg.svd(K)
-    X, Z = (_scaled_rotation(v.reshape(3, 3)) for v in (Vt[0], U[:, 0]))
+    X, Z = (se3.nearest_rotation(M * np.sign(np.linalg.det(M))) for M in (Vt[0].reshape(3, 3), U[:, 0].reshape(3, 3)))  # but for a factor
     return _both_translations(A, B, X, Z)
 
 
@@ -133,11 +133,6 @@ def _solved(A: np.ndarray, B: np.ndarray, M: np.ndarray, turning: slice) -> np.n
     M[:, 9:, turning] = np.einsum("ij,kl->kijl", np.eye(3), tB / size).reshape(K, 3, 9)
     right = np.concatenate([np.zeros((K, 9)), tA / size], axis=1)
     return np.linalg.lstsq(M.reshape(12 * K, -1), right.ravel(), rcond=None)[0]
-
-
-def _scaled_rotation(M: np.ndarray) -> np.ndarray:
-    """The rotation of a matrix that is one but for a factor of either sign."""
-    return se3.nearest_rotation(M * np.sign(np.linalg.det(M)))
 
 
 def _both_translations(A: np.ndarray, B: np.ndarray, RX: np.ndarray, RZ: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

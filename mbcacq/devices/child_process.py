@@ -17,10 +17,6 @@ def _write_line(message: Any, pipe: IO[bytes]) -> None:
     pipe.write(json.dumps(message).encode() + b"\n")
 
 
-def _read_line(pipe: IO[bytes]) -> Any:
-    return json.loads(pipe.readline())
-
-
 class ChildEnded(Exception):
     """The process does not run, or has ended before it answered."""
 
@@ -51,7 +47,7 @@ class ChildProcess:
         self,
         *words: str,
         dump: Callable[[Any, IO[bytes]], object] = _write_line,
-        load: Callable[[IO[bytes]], Any] = _read_line,
+        load: Callable[[IO[bytes]], Any] = lambda pipe: json.loads(pipe.readline()),
         **started: Any,
     ) -> None:
         self._dump, self._load = dump, load

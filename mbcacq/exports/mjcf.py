@@ -73,7 +73,9 @@ def _express(term: EffectTerm, out: ExpressedEffects, robot: RobotModel) -> bool
     c = term.coefficients
     causes = {(p.place, p.index, p.component): _cause(p.columns[0]) for p in term.parts if len(p.columns) == 1}
     if len(c) == 4 and all(
-        cause is not None and cause.startswith("payload_torque_") for p in term.parts for cause in map(_scaled_cause, p.columns)
+        cause is not None and cause.startswith("payload_torque_")
+        for p in term.parts
+        for cause in (_cause((replace(column[0], factor=1.0),)) if len(column) == 1 else None for column in p.columns)
     ):
         return _express_payload(c, out)
     if len(causes) != len(term.parts) or len(c) != 1:
@@ -105,11 +107,6 @@ def _express_payload(c: np.ndarray, out: ExpressedEffects) -> bool:
     if heavier > 0:
         out.payload = heavier, (mass * com + c[1:4]) / heavier
     return heavier > 0
-
-
-def _scaled_cause(column: Column) -> str | None:
-    """The covariate to which a column is proportional, None for other functions."""
-    return _cause((replace(column[0], factor=1.0),)) if len(column) == 1 else None
 
 
 def _cause(column: Column) -> str | None:

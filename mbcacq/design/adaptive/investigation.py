@@ -181,7 +181,11 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
     if left < OPTIONS.fewest or (budget.minutes is not None and seconds > 60 * budget.minutes):
         return replace(made, end=f"the budget is spent; {_open(look, made)}")
     chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, views=views)
-    beyond = sum(share for label, share in hiding.items() if label not in chosen.shown and not _acts_in_time(label))
+    beyond = sum(
+        share
+        for label, share in hiding.items()
+        if label not in chosen.shown and not catalogue.declaration(label.partition(":")[0]).acts_in_time
+    )  # time shows by waiting
     if known and made.excluded + beyond >= OPTIONS.excluded:
         return replace(made, end=f"{_known(look, made)}, and no view that can be taken shows most of them")
     if not chosen.visits:
@@ -191,11 +195,6 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
         reasons=tuple(chosen.reasons),
         steps=steps_of(grown, chosen.visits, 1 + sum(isinstance(step, Taught) for step in grown.plan.steps)),
     )
-
-
-def _acts_in_time(label: str) -> bool:
-    """Whether an effect, as ``name:where``, shows by waiting: views are compared as if all were taken at one moment."""
-    return catalogue.declaration(label.partition(":")[0]).acts_in_time
 
 
 def sure(look: InterimEvidence) -> bool:

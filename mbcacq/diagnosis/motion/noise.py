@@ -27,7 +27,8 @@ def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
     """
     inverse = _inverse(store, weights, chosen)
     known = np.diag(1.0 / np.array(store.prior)[chosen] ** 2)
-    white = inverse * max(_chi2_dof(store, weights, chosen, x), 1.0)
+    chi2_dof = float(store.errors(chosen, x) @ weights) / max(store.count.sum() - len(chosen), 1.0)
+    white = inverse * max(chi2_dof, 1.0)
     by_segment = _propagated(inverse, _spread_of_scores(store, weights, chosen, x) + known)
     coloured = _propagated(inverse, _spectral(store, weights, chosen, x, correlation_s) + known)
     least = np.maximum(np.maximum(np.diag(white), np.diag(by_segment)), np.diag(coloured))
@@ -53,10 +54,6 @@ def _with_variances(matrix: np.ndarray, variances: np.ndarray) -> np.ndarray:
 def _inverse(store: NormalStore, weights: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     factor, scale = store.factor(store.normal(weights), chosen)
     return cho_solve(factor, np.eye(len(chosen)), check_finite=False) * np.outer(scale, scale)
-
-
-def _chi2_dof(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> float:
-    return float(store.errors(chosen, x) @ weights) / max(store.count.sum() - len(chosen), 1.0)
 
 
 def _spread_of_scores(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ class _RapidStatements(Statements):
         while stack:
             here = stack.pop()
             if kind(here) == "list" and _looks_like_joints(here):
-                number = line_of(begin + _first_place(here))
+                number = line_of(begin + next(token.start_pos for token in here.scan_values(lambda _: True)))
                 self.left.append((f"line {number}", number, "is no target of a motion"))
             elif hasattr(here, "children"):
                 stack += here.children
@@ -106,10 +106,6 @@ def _looks_like_joints(brackets: Any) -> bool:
     """Whether a list has the form of a jointtarget: six numbers of the arm, six of external axes."""
     parts = [element.children[0] for element in brackets.children if len(element.children) == 1]
     return len(brackets.children) == len(parts) == 2 and all(kind(p) == "list" and len(p.children) == AXES for p in parts)
-
-
-def _first_place(tree: Any) -> int:
-    return next(token.start_pos for token in tree.scan_values(lambda _: True))
 
 
 def read(text: str, n: int) -> RobotProgram:

@@ -340,7 +340,7 @@ def _observations(table: Table, reading: TableReading, options: TableOptions) ->
     certified = len(balls) == 1
     centres = np.zeros((1, 3)) if certified else np.full((len(balls), 3), np.nan)
     artefact = Artefact("target", "", balls, centres, np.zeros(len(balls)), 0.0 if certified else 1.0, certified=certified)
-    names = _station_names(table)
+    names = [name.strip() for name in table.text("station")] if table.has(["station"]) else ["s1"] * len(table)
     index = {name: i for i, name in enumerate(dict.fromkeys(names))}
     robot, q = _arm(table, reading, options)
     cell = Cell(
@@ -383,10 +383,6 @@ def _ball_ids(targets: Sequence[PoseHeadings]) -> tuple[int, ...]:
     found = [re.search(r"(\d+)$", t.thing) for t in targets]
     ids = [int(m[1]) for m in found if m]
     return tuple(ids) if len(set(ids)) == len(targets) else tuple(range(1, len(targets) + 1))
-
-
-def _station_names(table: Table) -> list[str]:
-    return [name.strip() for name in table.text("station")] if table.has(["station"]) else ["s1"] * len(table)
 
 
 def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[RobotModel, np.ndarray]:

@@ -53,7 +53,7 @@ def read_profiles_in_motion(cycles: Table, points: Table, options: TableOptions)
     Raises ConfigError if times go back, nothing decides between readings, or the sweeps leave the hand-eye transform open.
     """
     columns = profile_columns(list(points.columns), None)
-    times = [_time_column(table) for table in (cycles, points)]
+    times = [next((name for name in table.columns if _words(name)[0] in TIME_WORDS), None) for table in (cycles, points)]
     if columns is None or None in times or number_column(list(cycles.columns)) is not None or options.diameter_mm is None:
         return None
     cycle_s, point_s = (_seconds(table, str(name)) for table, name in zip((cycles, points), times, strict=True))
@@ -76,10 +76,6 @@ def read_profiles_in_motion(cycles: Table, points: Table, options: TableOptions)
     said = check_diameter(best.motion.at(t[used])[0], [c for c, u in zip(seen.circles, used, strict=True) if u], radius, best.start, points)
     obs = _observations(best, seen, sections, radius, options, str(points.path))
     return UnderstoodTable(obs, (*_sentences(best, seen, lost, radius), said))
-
-
-def _time_column(table: Table) -> str | None:
-    return next((name for name in table.columns if _words(name)[0] in TIME_WORDS), None)
 
 
 def _words(name: str) -> tuple[str, str]:
