@@ -180,7 +180,9 @@ class Table:
 
     def with_columns(self, more: Mapping[str, Sequence[str]]) -> bytes:
         """The file with further columns (numbers with decimal points), in its own encoding, separator, decimal mark and line ends."""
-        added = [[cell.replace(".", ",") if self.decimal_comma and _is_number(cell) else cell for cell in cells] for cells in more.values()]
+        number = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
+        decimal = self.decimal_comma
+        added = [[cell.replace(".", ",") if decimal and number.fullmatch(cell) else cell for cell in cells] for cells in more.values()]
         rows = zip(*self.columns.values(), *added, strict=True)
         hint = f"sep={self.dialect.separator}{self.dialect.newline}" if self.dialect.hint else ""
         return self.dialect.encoded(hint + csv_text([*self.columns, *more], list(rows), self.dialect))
@@ -387,10 +389,6 @@ def _refuse_missing(table: Table, missing: Sequence[str]) -> None:
 
 def _with_point(cell: str) -> str:
     return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
-
-
-def _is_number(cell: str) -> bool:
-    return re.fullmatch(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?", cell) is not None
 
 
 def _short(cell: str) -> str:

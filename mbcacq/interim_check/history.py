@@ -22,15 +22,14 @@ MICROMETRE = 5  # decimals of a residual in mm
 CentreRow = tuple[int, int, FiniteFloat, FiniteFloat, FiniteFloat]  # pose, ball, x, y, z
 
 
-def _from_rows(rows: list[CentreRow]) -> dict[tuple[int, int], np.ndarray]:
-    return {(pose, ball): np.array(xyz) for pose, ball, *xyz in rows}
-
-
 def _as_rows(residual: Mapping[tuple[int, int], np.ndarray]) -> list[list[float]]:
     return [[pose, ball, *(round(float(v), MICROMETRE) for v in xyz)] for (pose, ball), xyz in residual.items()]
 
 
-Residuals = Annotated[Mapping[tuple[int, int], np.ndarray], InJson(list[CentreRow], _from_rows, _as_rows)]
+Residuals = Annotated[
+    Mapping[tuple[int, int], np.ndarray],
+    InJson(list[CentreRow], lambda rows: {(pose, ball): np.array(xyz) for pose, ball, *xyz in rows}, _as_rows),
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,7 +111,7 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
             "this calibration is simulated, and on a controller it would be taken for a measured one; "
             "give that of a real arm, or --simulated-anyway"
         )
-    if isinstance(source, Path | str) and _holds_observations(Path(source)):
+    if isinstance(source, Path | str) and Path(source).is_dir() and (layout.parts(Path(source)) or Path(source, "cell.yaml").exists()):
         measured = load_observations(source)
     marks = {"simulated": True} if result.get("simulated") else {}
     files = contents(result, targets, measured)
@@ -119,11 +119,6 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
         refuse_existing(folder / name, force, f"{folder} already holds {name}; give another folder, or --force to replace it")
     for path in write_files(folder, files):
         yield {"file": str(path)} | marks
-
-
-def _holds_observations(path: Path) -> bool:
-    """Whether a folder is a run or an observation set; one of a result alone has no residuals to write."""
-    return path.is_dir() and (bool(layout.parts(path)) or (path / "cell.yaml").exists())
 
 
 def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:

@@ -29,7 +29,8 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         fastest = max(float(np.abs(run.qd[:, j]).max()) for run in runs)
         if fastest >= LEAST_SPEED:
             largest = max(float(np.abs(available(run.torque)[:, j]).max()) for run in runs)
-            out += _of_joint(group, j, fastest, largest, with_load=all(_load_changes(run, j) for run in runs))
+            varies = (np.ptp(np.abs(available(run.rigid)[:, j])) > LEAST_LOAD * np.ptp(available(run.torque)[:, j]) for run in runs)
+            out += _of_joint(group, j, fastest, largest, with_load=all(varies))
     return out
 
 
@@ -52,10 +53,6 @@ def _of_joint(group: ChannelGroup, j: int, fastest: float, largest: float, with_
     if with_load:
         out.append(Candidate(NAME, *here, MotionRows((j,), _load, extends=True, follows_load=True), load, variant="load"))
     return out
-
-
-def _load_changes(run: MotionSignals, joint: int) -> bool:
-    return bool(np.ptp(np.abs(available(run.rigid)[:, joint])) > LEAST_LOAD * np.ptp(available(run.torque)[:, joint]))
 
 
 def _plain(run: MotionSignals, joint: int, _: object) -> np.ndarray:
