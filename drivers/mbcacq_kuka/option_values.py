@@ -33,13 +33,9 @@ def _outputs(numbers: Any) -> Any:
     return tuple(numbers)
 
 
-def _six(value: Any) -> Any:
-    return [value] * 6 if isinstance(value, int | float) else value
-
-
 Six = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 PositiveSix = Annotated[Six, AfterValidator(_positive)]
-OneOrSix = Annotated[PositiveSix, BeforeValidator(_six)]
+OneOrSix = Annotated[PositiveSix, BeforeValidator(lambda value: [value] * 6 if isinstance(value, int | float) else value)]
 
 
 class KukaOptions(DriverOptions):

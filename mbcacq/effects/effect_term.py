@@ -68,15 +68,13 @@ class LearntRecording(EveryKey):
         return np.array([position.get(int(n), len(self.poses) - 1) for n in obs.pose_id], dtype=float)
 
 
-def _bounded(sigma: list[float | None]) -> np.ndarray:
-    return np.array([np.inf if s is None else s for s in sigma])
-
-
 def _or_none(sigma: np.ndarray) -> list[float | None]:
     return [float(s) if np.isfinite(s) else None for s in sigma]
 
 
-Sigma = Annotated[np.ndarray, InJson(list[FiniteFloat | None], _bounded, _or_none)]  # None in a file: there is none
+Sigma = Annotated[
+    np.ndarray, InJson(list[FiniteFloat | None], lambda each: np.array([np.inf if s is None else s for s in each]), _or_none)
+]  # None in a file: there is none
 Known = Annotated[np.ndarray, as_list(list[Number])]
 
 

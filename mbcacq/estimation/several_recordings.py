@@ -73,7 +73,9 @@ def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) ->
         pose=np.concatenate([r.pose + p for r, p in zip(recordings, poses, strict=False)]),
         ball=np.concatenate([r.ball + b for r, b in zip(recordings, balls, strict=False)]),
         xyz=np.concatenate([r.xyz for r in recordings]),
-        payload_kg=np.concatenate([_payload_kg(r) for r in recordings]),
+        payload_kg=np.concatenate(
+            [np.broadcast_to(r.cell.robot.payload_mass if r.payload_kg is None else r.payload_kg, r.n_poses) for r in recordings]
+        ),
         payload_com=np.concatenate([np.tile(r.cell.robot.payload_com, (r.n_poses, 1)) for r in recordings]),
         temperatures={name: np.concatenate([r.temperatures[name] for r in recordings]) for name in common},
         recording=np.concatenate([np.full(r.n_poses, i) for i, r in enumerate(recordings)]),
@@ -110,10 +112,6 @@ def _noise_scale(part: Adjustment, first: Adjustment, obs: Observations) -> np.n
     """(P, 3 + n): noise of a recording over that of the first."""
     own, reference = (np.concatenate([p.noise.point, p.noise.joint]) for p in (part, first))
     return np.tile(own / reference, (obs.n_poses, 1))
-
-
-def _payload_kg(obs: Observations) -> np.ndarray:
-    return np.full(obs.n_poses, obs.cell.robot.payload_mass) if obs.payload_kg is None else np.asarray(obs.payload_kg, dtype=float)
 
 
 def _refuse_different_arms(recordings: Sequence[Observations]) -> None:

@@ -68,7 +68,8 @@ def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
     stream.set_time(layout.TIME, duration=0.0)  # a viewer needs a time, even of what does not change
     stream.log("part/text", drawn_text(drawn.text))
     for name, points in drawn.scans.items():
-        colours = np.rint(255 * _hue((points[:, 3:] * GOLDEN) % 1.0)).astype(np.uint8)
+        around = 6 * ((points[:, 3:] * GOLDEN) % 1.0) + np.array([0.0, 4.0, 2.0])  # red, green and blue along the circle of colours
+        colours = np.rint(255 * (np.clip(np.abs(around % 6 - 3) - 1, 0, 1) * 0.75 + 0.2)).astype(np.uint8)
         stream.log(f"part/{name}", rr.Points3D(points[:, :3].astype(np.float32), colors=colours, radii=rr.Radius.ui_points(1.5)))
     whole = list(drawn.scans.values())[-1][::5, :3].astype(np.float32)
     stream.log("part/steps/surface", rr.Points3D(whole, colors=[GREY], radii=rr.Radius.ui_points(0.8)))
@@ -79,8 +80,3 @@ def _log(stream: rr.RecordingStream, drawn: PartDrawn) -> None:
         points, along = drawn.deviations[:, :3].astype(np.float32), drawn.deviations[:, 3]
         cloud = rr.Points3D(points, colors=diverging(along / (2 * drawn.U_mm)), radii=rr.Radius.ui_points(1.5))
         stream.log("part/cad", cloud)
-
-
-def _hue(share: np.ndarray) -> np.ndarray:
-    """(n, 3) of 0 to 1: colours of the circle at shares (n, 1)."""
-    return np.clip(np.abs((6 * share + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1, 0, 1) * 0.75 + 0.2
