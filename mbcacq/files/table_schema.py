@@ -138,7 +138,8 @@ def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, Hea
     out: dict[str, HeadingMatch] = {}
     free = list(headings)
     for column in columns:
-        ranked = sorted((rank, heading, unit) for heading in free if (hit := _hit(column, heading)) for rank, unit in [hit])
+        found = ((h, _hit_of(column, h) if len(h) <= KEPT_HEADING else _hit_of.__wrapped__(column, h)) for h in free)  # none long is kept
+        ranked = sorted((hit[0], heading, hit[1]) for heading, hit in found if hit)
         if not ranked:
             continue
         rank, heading, unit = ranked[0]
@@ -176,11 +177,6 @@ def _hit_of(column: Column, heading: str) -> tuple[int, str] | None:
         if bracket:
             raise HeadingError(f"column {heading}: {column.preferred} cannot be given in {unit}; correct the unit")
     return None
-
-
-def _hit(column: Column, heading: str) -> tuple[int, str] | None:
-    """``_hit_of``; a heading that is longer than headings are is not kept in memory."""
-    return _hit_of(column, heading) if len(heading) <= KEPT_HEADING else _hit_of.__wrapped__(column, heading)
 
 
 def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:

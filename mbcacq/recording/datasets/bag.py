@@ -284,7 +284,8 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     pose = np.array(sorted(points), dtype=np.int64)
     out: dict[str, Any] = {"pose": pose, "ball": np.zeros(len(pose), dtype=np.int64)}
     out["xyz"] = MM_IN_M * np.array([np.mean(points[p], axis=0) for p in pose.tolist()]).reshape(-1, 3)
-    if len(turns) == len(points) and turns and not _never_turned(turns):
+    still = len(turns) > 1 and all(abs(q[0]) == 1.0 and not q[1:].any() for each in turns.values() for q in each)  # measures places only
+    if len(turns) == len(points) and turns and not still:
         alike = ([q if q @ turns[p][0] >= 0 else -q for q in turns[p]] for p in pose.tolist())  # the sign of a quaternion is arbitrary
         out["rotation"] = quaternions.to_matrix(np.array([np.mean(each, axis=0) for each in alike]))
     return out
@@ -331,11 +332,6 @@ def _target(message: Any) -> tuple[np.ndarray, np.ndarray | None]:
 
 def _array(message: Any, names: str) -> np.ndarray:
     return np.array([getattr(message, name) for name in names], dtype=float)
-
-
-def _never_turned(turns: dict[int, list[np.ndarray]]) -> bool:
-    """Whether every quaternion is the identity, several poses long: what instruments publish that measure positions only."""
-    return len(turns) > 1 and all(abs(q[0]) == 1.0 and not q[1:].any() for each in turns.values() for q in each)
 
 
 def _clouds(bag: Bag, spec: BagSpec, cell: Cell, states: JointStates, windows: list[slice]) -> dict[str, Any]:

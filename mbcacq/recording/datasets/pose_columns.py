@@ -181,7 +181,8 @@ def heading(name: str) -> Heading:
 @lru_cache(maxsize=4096)  # a table's headings are asked for again by every question on its columns
 def _taken_apart(name: str) -> Heading:
     text, unit = name.strip(), ""
-    if (found := _UNIT.match(text)) and found[1] and (found[1][-1:] in " _.[(<" or _separated(text, found[1]) or found[2] == "°"):
+    found = _UNIT.match(text)
+    if found and found[1] and (found[1][-1] in " _.[(<" or text[len(found[1])] in " _.[(<" or found[2] == "°"):
         text, unit = found[1].strip(" _.[(<"), found[2].lower()
     words = [w for w in _SPLIT.split(text.replace("->", " ")) if w]
     words = [*words[:-1], *_apart(words[-1])] if words else [""]
@@ -211,11 +212,6 @@ def _taken_apart(name: str) -> Heading:
 def _axis_of(text: str) -> str:
     """x, y, z, also of 0, 1, 2."""
     return {"0": "x", "1": "y", "2": "z"}.get(text, text)
-
-
-def _separated(text: str, before: str) -> bool:
-    """Whether the unit stands apart from what is before it, in brackets or behind a space, a point or an underscore."""
-    return text[len(before) : len(before) + 1] in tuple(" _.[(<")
 
 
 def _apart(word: str) -> list[str]:
