@@ -69,7 +69,7 @@ def _nearest_offset(loaded: LoadedPlan, own: list[Target]) -> np.ndarray | None:
             moved = T.copy()
             moved[:, :3, 3] += np.round(distance * direction)
             # One view tells most places that will not do; the others are asked for the rest.
-            if not _any(solver.solutions(moved[:1])[0], signs[0], wrist):
+            if not any(signs[0] * q[wrist] >= 0 for q in solver.solutions(moved[:1])[0]):
                 continue
             found = [q[sign * q[:, wrist] >= 0] for q, sign in zip(solver.solutions(moved), signs, strict=True) if len(q)]
             if len(found) < len(signs) or not all(map(len, found)):
@@ -78,10 +78,6 @@ def _nearest_offset(loaded: LoadedPlan, own: list[Target]) -> np.ndarray | None:
                 return np.round(distance * direction)
             reached = np.round(distance * direction) if reached is None else reached
     return reached
-
-
-def _any(q: np.ndarray, sign: int, wrist: int) -> bool:
-    return bool(len(q)) and bool((sign * q[:, wrist] >= 0).any())
 
 
 def repaired(loaded: LoadedPlan) -> tuple[LoadedPlan, list[str]]:

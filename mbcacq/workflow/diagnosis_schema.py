@@ -49,7 +49,8 @@ def generated_schema() -> dict[str, Any]:
     each: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [(kind.__name__, "validation", TypeAdapter(kind)) for kind in kinds]
     found, shared = TypeAdapter.json_schemas(each, schema_generator=_AsWritten)
     parts = _terse(shared.pop("$defs"))
-    of_poses, beside = (_resolved(_terse(found[kind.__name__, "validation"]), parts) for kind in kinds)
+    each = [_terse(found[kind.__name__, "validation"]) for kind in kinds]  # one may be a reference to a part, which is taken out
+    of_poses, beside = (parts.pop(one["$ref"].rsplit("/", 1)[-1]) if "$ref" in one else one for one in each)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": FORMAT.replace("/", "-"),
@@ -70,8 +71,3 @@ def _terse(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     return {key: _terse(value) for key, value in schema.items() if key != "default" and not (key == "title" and isinstance(value, str))}
-
-
-def _resolved(found: dict[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """A schema that may be a reference to one of the parts, which is taken out."""
-    return parts.pop(found["$ref"].rsplit("/", 1)[-1]) if "$ref" in found else found
