@@ -84,10 +84,6 @@ def _states(state: SensorState, payload: bytes) -> bytes:
     return struct.pack(f"<I{len(items)}i", len(items), *items)
 
 
-def _get_address(state: SensorState, payload: bytes) -> bytes:
-    return struct.pack("<B4s4s4s", 0, socket.inet_aton(state.address), b"\xff\xff\xff\x00", bytes(4))
-
-
 def _write_file(state: SensorState, payload: bytes) -> bytes:
     (size,) = struct.unpack_from("<I", payload, 64)
     if len(payload) < 68 + size:
@@ -111,10 +107,6 @@ def _set_default_job(state: SensorState, payload: bytes) -> bytes:
     return b""
 
 
-def _loaded_job(state: SensorState, payload: bytes) -> bytes:
-    return struct.pack("<64sB", state.files.loaded_job.encode(), state.files.modified)
-
-
 def _log_in(state: SensorState, payload: bytes) -> bytes:
     (user,) = struct.unpack_from("<i", payload)
     actions.log_in(state, user, name_at(payload, 4))
@@ -136,7 +128,7 @@ HANDLERS: dict[int, Handler] = {
     0x4002: _system_info_1,
     0x4010: _system_info_2,
     0x4525: _states,
-    0x3012: _get_address,
+    0x3012: lambda s, p: struct.pack("<B4s4s4s", 0, socket.inet_aton(s.address), b"\xff\xff\xff\x00", bytes(4)),
     0x101A: lambda s, p: name_list(s.files.names(name_at(p))),
     0x4605: lambda s, p: name_list(s.files.names(name_at(p))),
     0x1007: lambda s, p: block(s.files.read(name_at(p))),
@@ -147,7 +139,7 @@ HANDLERS: dict[int, Handler] = {
     0x1022: lambda s, p: struct.pack("<Q", CAPACITY - s.files.used()),
     0x4100: lambda s, p: struct.pack("64s", s.files.default_job.encode()),
     0x4101: _set_default_job,
-    0x4512: _loaded_job,
+    0x4512: lambda s, p: struct.pack("<64sB", s.files.loaded_job.encode(), s.files.modified),
     0x100D: _action(actions.start),
     0x100F: _action(actions.start),
     0x1001: _action(actions.stop),
