@@ -49,8 +49,8 @@ def generated_schema() -> dict[str, Any]:
     each: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [(kind.__name__, "validation", TypeAdapter(kind)) for kind in kinds]
     found, shared = TypeAdapter.json_schemas(each, schema_generator=_AsWritten)
     parts = _terse(shared.pop("$defs"))
-    each = [_terse(found[kind.__name__, "validation"]) for kind in kinds]  # one may be a reference to a part, which is taken out
-    of_poses, beside = (parts.pop(one["$ref"].rsplit("/", 1)[-1]) if "$ref" in one else one for one in each)
+    schemas = [_terse(found[kind.__name__, "validation"]) for kind in kinds]  # one may be a reference to a part, which is taken out
+    of_poses, beside = (parts.pop(one["$ref"].rsplit("/", 1)[-1]) if "$ref" in one else one for one in schemas)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": FORMAT.replace("/", "-"),
