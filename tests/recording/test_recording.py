@@ -19,7 +19,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.observation_set import write_observation_set
 from mbcacq.recording.rrd import layout, scan_export
-from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.reader import Recording, open_recordings, opened_once
 from mbcacq.recording.rrd.writer import Recorder
 from mbcacq.recording.run_folder.journal import Journal, read_journal
 from mbcacq.recording.run_folder.progress import poses_done
@@ -392,8 +392,6 @@ def test_exported_clouds_are_of_the_set_that_they_lie_in(a_run, tmp_path, monkey
 
 
 def test_a_recording_is_opened_once_inside_and_anew_when_it_changed(a_run):
-    from mbcacq.recording.rrd.reader import open_recordings, opened_once
-
     assert open_recordings(a_run)[0] is not open_recordings(a_run)[0]
     with opened_once():
         first = open_recordings(a_run)[0]
