@@ -93,8 +93,8 @@ def held_out_figures(validation: CrossValidation) -> HeldOutFigures:
     figures = HeldOutFigures(*_figures(before, after), split=validation.split)
     if after.every <= after.count:
         return figures
-    every = before.rms_of_every, after.rms_of_every
-    return HeldOutFigures(*_figures(before, after), validation.split, after.every, after.count, *every)
+    counts = replace(figures, centres=after.every, robust_centres=after.count)
+    return replace(counts, every_before_rms_mm=before.rms_of_every, every_after_rms_mm=after.rms_of_every)
 
 
 def named_alone(alike: Sequence[tuple[NotSeparable, EffectSet, EffectSet]]) -> list[tuple[Sequence[Member], Sequence[Member]]]:

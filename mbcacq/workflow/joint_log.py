@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,12 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.files.bounded_read import bytes_of
 from mbcacq.files.table import Column, TableSchema, read_table
-from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
 from mbcacq.quantities import DEGREE, in_degrees
+from mbcacq.recording.datasets.columns_of_joints import schema_of
 
 NEAR = 3.0 * DEGREE  # of a planned pose: a program goes there exactly
 MAX_BYTES = 64 << 20
@@ -50,11 +50,7 @@ def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> 
 
 
 def _table(path: Path, robot: RobotModel) -> tuple[np.ndarray, list[int] | None]:
-    joints = []
-    for axis, heading in zip(robot.axes, robot.headings, strict=True):
-        name, _, unit = heading.rpartition("_")
-        others = tuple(other.format(axis[1:]) for other in JOINT_NAMES) if axis.startswith("A") else (axis,)
-        joints.append(Column(name, unit, aliases=others, assumed=unit))
+    joints = [replace(column, required=True, assumed=column.unit or "") for column in schema_of(robot, "q")]
     table = read_table(path, TableSchema("a log of joints", (Column("pose", kind="integer", required=False), *joints), preamble=True))
     number = [int(v) for v in table.integer("pose")] if table.has("pose") else None
     return table.numbers([column.name for column in joints]), number

@@ -16,10 +16,8 @@ LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="2"/>'
 
 
 def joint(name, parent, child, kind="revolute", axis="0 1 0", xyz="0 0 0.2", more=LIMIT):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
-        f'<axis xyz="{axis}"/>{"" if kind == "fixed" else more}</joint>'
-    )
+    place = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/><axis xyz="{axis}"/>'
+    return f'<joint name="{name}" type="{kind}">{place}{"" if kind == "fixed" else more}</joint>'
 
 
 def described(joints, links=None, shapes=()):

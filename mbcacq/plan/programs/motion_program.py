@@ -73,7 +73,7 @@ class MotionProgram:
     """One session.
 
     axes: names, in the order of positions; headings: of these in tables. speed, acceleration: shares of what the axes can do, as in a run.
-    speed_rad_s, acceleration_rad_s2: of the slowest axis. digest: of the plan, so that clouds of another one can be told apart.
+    speed_rad_s, acceleration_rad_s2: of the slowest axis. digest: of the plan, so that clouds of another one are recognised.
     """
 
     name: str
