@@ -38,6 +38,15 @@ def cut(name):
     return spoil
 
 
+def cut_between_two_messages(folder):
+    """The library reads such a file to its end and says nothing: half of the poses would be gone unsaid."""
+    noted = [json.loads(line) for line in (folder / "checksums.jsonl").read_text().splitlines()]
+    ends = [stretch["end"] for stretch in noted if stretch["file"] == "run.rrd"]
+    whole = (folder / "run.rrd").read_bytes()
+    (folder / "run.rrd").unlink()
+    (folder / "run.rrd").write_bytes(whole[: ends[len(ends) // 2] + 7])
+
+
 def edited_history(folder):
     (folder / "check.json").write_text(json.dumps({"format": "mbcacq-check/1", "sha256": "0" * 64, "days": []}))
 
@@ -113,6 +122,8 @@ MISTAKES = [  # what happened, what is typed, what the sentence says
     (written("result.json", NEWER), "export runs/x --results out", "written by a newer mbcacq"),
     (written("result.json", NEWER), "check runs/x plans/kuka.yaml --dry-run", "written by a newer mbcacq"),
     (cut("run.rrd"), "diagnose runs/x", "mbcacq recover"),
+    (cut_between_two_messages, "diagnose runs/x", "mbcacq recover"),
+    (cut_between_two_messages, "calibrate runs/x", "mbcacq recover"),
     (written("diagnosis.json", "broken"), "report runs/x", "write it anew with mbcacq diagnose"),
     (written("diagnosis.json", "broken"), "calibrate runs/x --effects runs/x/diagnosis.json", "give what mbcacq diagnose --out wrote"),
     (nothing, "calibrate runs/x --effects runs/x/result.json", "holds no effects that a calibration could take"),

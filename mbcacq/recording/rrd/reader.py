@@ -16,7 +16,7 @@ from mbcacq.devices import Cycles, Scan
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, packed_cloud, packed_cycles
-from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written
+from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written, read_stretches
 from mbcacq.recording.rrd.library_reader import LibraryReader
 from mbcacq.recording.rrd.process_reader import ProcessReader
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -149,11 +149,21 @@ class Recording:
 
 
 def open_recordings(path: Path | str) -> list[Recording]:
-    """The recordings of a run folder in order (several where it was resumed), or the one file."""
+    """The recordings of a run folder in order (several where it was resumed), or the one file.
+
+    Raises RecordingError where fewer bytes are left than were written: the library reads a file cut between two messages without a word.
+    """
     path = Path(path)
     files = layout.parts(path) if path.is_dir() else [path]
     if not files:
         raise ConfigError(f"{path} holds no recording (run.rrd); give the folder of a run")
+    for file in files:
+        written = max((stretch.end for stretch in read_stretches(file.parent)[0].get(file.name, [])), default=0)
+        if file.is_file() and 0 < file.stat().st_size < written:
+            raise RecordingError(
+                f"{file} is torn ({written} bytes were written, {file.stat().st_size} are left); copy it once more, "
+                f"or make what is left of it readable: mbcacq recover {file}"
+            )
     return [opened(file) for file in files]
 
 
