@@ -217,10 +217,12 @@ def test_an_arm_that_stands_beside_both_set_points(bench, moving, beside_deg, fa
     for _ in range(600):
         one.cycle()
     if fault is None:
-        assert one.shared.fault() is None and one.sent[-1][0] > held[0] + 1.0
+        assert one.shared.fault() is None
+        assert one.sent[-1][0] > held[0] + 1.0
     else:
         assert one.shared.fault()["kind"] == fault
-        assert "stands at neither" in one.shared.fault()["text"] and one.sent[-1] == held
+        assert "stands at neither" in one.shared.fault()["text"]
+        assert one.sent[-1] == held
 
 
 def test_a_restarted_program_is_never_answered(bench):
