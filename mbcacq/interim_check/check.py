@@ -112,6 +112,8 @@ class InterimCheck:
         day, days = None if since is None else times[since], None if between is None else [times[k] for k in between]
         said = {"format": FORMAT, **fields_as_json(self.verdict), "checks": len(times)}
         said |= {"log_e_by_check": [day.log_e for day in self.history.days], "since": day, "since_between": days}
+        undone = [{"label": one.suspect.label, "from": times[one.first], "until": times[one.end]} for one in self.verdict.put_right]
+        said |= {"put_right": undone}
         return said | {"before_first_check": since == 0, "files": {"history": str(self.file), "recording": str(self.run)}}
 
     def next_step(self, result: Path | str, plan: Path, dry_run: bool) -> tuple[str, str]:
