@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 from pydantic import Field
+
+from mbcacq.errors import ConfigError
 
 
 class Bound(NamedTuple):
@@ -51,6 +54,23 @@ BOUNDS = {
     "direction": Bound("1", -1e6, 1e6, "the length of a direction is not used"),
     "cosine": Bound("1", -2, 2, "an element of a rotation matrix is at most 1"),
 }
+
+
+def refuse_beyond(quantity: str, values: Any, what: str) -> None:
+    """Raises ConfigError for the first of some numbers from a foreign file that is none, or beyond the range of its quantity.
+
+    Parameters
+    ----------
+    quantity
+        Key of ``BOUNDS``; ``values`` are in its unit.
+    what
+        File and thing, in the sentence.
+    """
+    bound, numbers = BOUNDS[quantity], np.ravel(values)
+    inside = (numbers >= bound.low) & (numbers <= bound.high)
+    if not inside.all():
+        possible = f"{bound.low:g} to {bound.high:g} {bound.unit.removeprefix('1')}".rstrip()
+        raise ConfigError(f"{what} is {numbers[~inside][0]:g}, where {possible} is possible; correct the numbers in the file")
 
 
 def _within(name: str) -> Any:

@@ -377,6 +377,22 @@ def test_a_mass_of_mjcf_that_no_body_has_is_named_with_its_body(read, mass):
         read(text, "arm.xml")
 
 
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ('<body name="x" euler="1e20 0 0"/>', r"orientation \(deg\) of body 'x' is 1e\+20, where -3600 to 3600 deg is possible"),
+        ('<body name="x" axisangle="0 0 1 1e20"/>', r"orientation \(deg\) of body 'x'"),
+        ('<site name="x" quat="1e20 0 0 0"/>', "orientation of site 'x'"),
+        ('<frame name="x" zaxis="1e20 0 1"/>', "orientation of frame 'x'"),
+        ('<geom name="x" size="1e20"/>', r"size \(mm\) of geom 'x' is 1e\+23"),
+        ('<site name="x" size="1e20"/>', r"size \(mm\) of site 'x'"),
+    ],
+)
+def test_an_orientation_or_size_that_nothing_has_is_named_with_its_element(read, part, said):
+    with pytest.raises(ConfigError, match=said):
+        read(mjcf(part), "arm.xml")
+
+
 def test_mjcf_knows_grippers_sites_and_several_arms_as_urdf_does(read):
     found = read(mjcf(FINGERS), "arm.xml")
     assert (len(found.joints), found.flange) == (5, "b5")

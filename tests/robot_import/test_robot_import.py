@@ -51,6 +51,12 @@ def model(found):
     return RobotSpec.model_validate(yaml.safe_load(found.text)).model()
 
 
+def test_an_orientation_of_urdf_that_nothing_has_is_named_with_its_joint(urdf):
+    urdf.write_text(URDF.replace("1.5707963267948966", "1e20"))
+    with pytest.raises(ConfigError, match=r"rpy of joint 'b' \(deg\) is 5\.\d+e\+21, where -3600 to 3600 deg is possible"):
+        import_robot(urdf)
+
+
 def test_urdf_limits_speeds_and_masses_of_all_that_moves_together(urdf):
     found = import_robot(urdf)
     arm = model(found)

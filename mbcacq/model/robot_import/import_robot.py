@@ -16,7 +16,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
 from mbcacq.model import yaml12
-from mbcacq.model.bounds import BOUNDS
+from mbcacq.model.bounds import BOUNDS, refuse_beyond
 from mbcacq.model.cell_schema import RobotSpec, joint_key
 from mbcacq.model.robot_import.dh_table import read_dh_table, yaml_content
 from mbcacq.model.robot_import.mjcf import read_mjcf
@@ -30,7 +30,6 @@ POSTURES = 200  # random ones at which both forward kinematics are compared
 FIRST_BYTES = 100_000  # of a file, within which its first element stands
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
-LARGEST = 1e7  # mm or kg: ten kilometres, ten thousand tons
 LARGEST_MISS_MM, LARGEST_MISS_RAD = 1e-3, 1e-6  # the file's rounding stays far below
 
 
@@ -141,10 +140,11 @@ def _refuse_endless(path: Path, source: ArmSource) -> None:
         if number not in source.sliding and (np.abs(limits) > BOUNDS["joint_angle"].high).any():
             said = f"joint '{source.joints[number] or number + 1}' has the limits {limits[0]:g} to {limits[1]:g}°"
             raise ConfigError(f"{path}: {said}; give both as angles, or none where the joint turns without end")
-    sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
-    for what, values in {**sizes, "joint's axis": source.direction}.items():
-        if not (np.abs(values) <= LARGEST).all():
-            raise ConfigError(f"{path}: a {what} is beyond all bounds, or no number; correct the numbers in the file")
+    sizes = {"place of a joint": source.point, "flange": source.T_base_flange[:3, 3], "centre of gravity": source.com}
+    for what, values in sizes.items():
+        refuse_beyond("position", values, f"{path}: a {what} (mm)")
+    refuse_beyond("mass", source.mass, f"{path}: a mass")
+    refuse_beyond("direction", source.direction, f"{path}: a joint's axis")
 
 
 def _first_element(path: Path) -> str:

@@ -13,8 +13,10 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model.bounds import refuse_beyond
 from mbcacq.model.robot_import.kinematic_tree import KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.quantities import in_degrees
 
 PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
 SIX_DIGITS = 1e-5  # to which MuJoCo writes the numbers of a model, relative
@@ -122,7 +124,8 @@ def _compiled(path: Path) -> _Model:
 
 
 def _refuse_senseless(path: Path, mujoco: Any, spec: Any) -> None:
-    """Raises ConfigError for limits in the wrong order, which MuJoCo takes for none, and for a mass below zero, which is unknown to it."""
+    """Raises ConfigError for limits in the wrong order, which MuJoCo takes for none, for a mass below zero, which is unknown to it, and for
+    an orientation or a size that nothing has."""
     for joint in spec.joints:
         low, high = joint.range
         if (low or high) and not low < high and joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE:
@@ -131,6 +134,16 @@ def _refuse_senseless(path: Path, mujoco: Any, spec: Any) -> None:
     for body in spec.bodies:
         if body.explicitinertial and not body.mass >= 0:
             raise ConfigError(f"{path}: body '{body.name}' has a mass of {body.mass:g} kg; correct it")
+    unit = 1.0 if spec.compiler.degree else in_degrees(1.0)
+    for kind, elements in {"body": spec.bodies, "frame": spec.frames, "site": spec.sites, "geom": spec.geoms}.items():
+        for element in elements:
+            said, turned = f"{path}: the %s of {kind} '{element.name}'", element.alt
+            refuse_beyond("angle", unit * np.array([*turned.euler, turned.axisangle[3]]), said % "orientation (deg)")
+            directions = np.concatenate([turned.axisangle[:3], turned.xyaxes, turned.zaxis, element.quat])
+            refuse_beyond("direction", directions, said % "orientation")
+            refuse_beyond("position", 1e3 * np.array(getattr(element, "size", 0.0)), said % "size (mm)")
+    for joint in spec.joints:
+        refuse_beyond("direction", joint.axis, f"{path}: the axis of joint '{joint.name}'")
 
 
 def _spec(mujoco: Any, path: Path) -> Any:

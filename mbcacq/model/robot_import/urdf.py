@@ -11,10 +11,12 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model.bounds import refuse_beyond
 from mbcacq.model.robot_import.kinematic_tree import TURNING, Arm, KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
 from mbcacq.model.robot_import.xacro_file import BEFORE_2014, STATEMENTS, expanded, macros
 from mbcacq.model.xml_file import XmlFile
+from mbcacq.quantities import in_degrees
 
 WITHOUT_LIMITS = 1e3  # rad: limits beyond say that there are none
 MOST_TURNS = 4 * np.pi  # rad: limits beyond, and within ``WITHOUT_LIMITS``, are degrees
@@ -121,6 +123,7 @@ def _joint(element: Element, path: Path) -> Joint | None:
 
     xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3, path, name)
     roll, pitch, yaw = _numbers("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3, path, name)
+    refuse_beyond("angle", in_degrees([roll, pitch, yaw]), f"{path}: rpy of joint '{name}' (deg)")
     direction = np.array([1.0, 0.0, 0.0])
     if kind != "fixed" and axis is not None:  # the axis of a fixed joint means nothing; exporters write 0 0 0
         direction = _numbers(axis.get("xyz", "1 0 0"), 3, path, name)
