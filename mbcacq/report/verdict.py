@@ -77,6 +77,8 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spac
             f"No verification artefact was measured. Residual on the poses of the calibration: {micrometres(fit['rms_mm'])} (3D rms).",
         )
     errors = f"{largest_error(spacing)}{_compared(spacing, earlier)}, mean {spacing.mm(np.abs(spacing.after).mean())} mm"
+    if spacing.judging is not None and (np.abs(spacing.before) <= K * spacing.judging).all():
+        errors += "; these lengths were right before the calibration too, so they do not judge it"
     if spacing.limit is None:
         return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
     if spacing.judging is None:
