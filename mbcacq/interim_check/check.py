@@ -28,7 +28,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.quantities import capitalised
 from mbcacq.recording.run_folder.lock import write_lock
-from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
@@ -94,6 +94,11 @@ class InterimCheck:
     def changed(self) -> bool:
         """Whether the cell is not as it was."""
         return self.verdict.changed
+
+    @property
+    def page(self) -> Path:
+        """The page of the check; a run that served as a check keeps its own report."""
+        return self.run / ("report.html" if kind_of(self.run) is RunKind.CHECK else "check.html")
 
     @property
     def sentence(self) -> str:
@@ -241,7 +246,7 @@ def check(
             about |= {"version": f"mbcacq {__version__}", "next": done.next_step(named, loaded.path, dry_run)}
             kept = done.to_dict() | shown(planned, past, verdict) | about
             keep_check_result(run, kept)
-            write_check_page(kept, run / "report.html")
+            write_check_page(kept, done.page)
         operator.progress("")
         return done
 
