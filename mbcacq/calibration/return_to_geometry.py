@@ -36,7 +36,7 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     parts = [DescribedPart(*place, (tuple(p for at, p in changes if at == place),)) for place in dict.fromkeys(at for at, _ in changes)]
     where = tuple(dict.fromkeys(at for t in ending for at in t.where))
     angles = "*".join(sorted({name for t in ending for name in t.covariates}))
-    held = tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped}))
+    held = tuple(sorted({name for t in named.terms for name in t.clamped} - {name for t in ending for name in t.covariates}))
     here = Covariates(cell.fit.observations)
     change = EffectTerm.of_group(here, where, angles, parts, np.ones(1), ("",), BEYOND, clamped=held)
     return replace(cell, effects=replace(model, terms=(*model.terms, replace(change, coefficients=np.ones(1)))))
