@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
 _MARGIN_DEG = 0.001  # REAL has 32 bits: a target on the limit must not be refused for its last digit
+_TECHNOLOGY = '         <ELEMENT TAG="DEF_Tech.C2" TYPE="DOUBLE" INDX="INTERNAL"/>\n'  # load, tool, base; iiQKA.OS2 has no $TECHPAR_C
 _EKI_PORTS = range(54600, 54616)
 
 
@@ -98,7 +99,7 @@ def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
         "kss_older/SensorInterface/mbcacq.rsi.xml": _reach(_read("rsi3/mbcacq.rsi.xml"), reach),
         "kss_older/SensorInterface/mbcacq.rsi.diagram": _read("rsi3/mbcacq.rsi.diagram"),
         "kss_older/Program/mbcacq_rsi.src": programs["rsi3"],
-        "iiqka/Ethernet configuration/mbcacq_ethernet.xml": outputs.in_ethernet(ethernet, numbers),
+        "iiqka/Ethernet configuration/mbcacq_ethernet.xml": outputs.in_ethernet(ethernet.replace(_TECHNOLOGY, ""), numbers),
         "iiqka/Context/mbcacq.rsix": outputs.in_context(_read("rsi_iiqka/mbcacq.rsix"), numbers),
         "iiqka/Program/mbcacq_rsi.src": outputs.in_program(_read("rsi_iiqka/mbcacq_rsi.src"), numbers, "RSI_PROCESS_ON("),
         "iiqka/Program/mbcacq_rsi.dat": _fill_data(_read("rsi_iiqka/mbcacq_rsi.dat"), limits),

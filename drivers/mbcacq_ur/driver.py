@@ -109,6 +109,7 @@ class UrRtdeRobot(ContextDevice):
         return (
             Fact("speed slider", 100.0 * latest["target_speed_fraction"], "%", 0.5, critical=False),
             Fact("payload", latest["payload"], "kg", self._options.payload_tolerance_kg),
+            Fact("payload centre", ", ".join(f"{1e3 * v + 0.0:.1f}" for v in latest["payload_cog"]), "mm"),
             Fact("safety", "reduced" if latest["safety_status_bits"] >> 1 & 1 else "normal", critical=False),
         )
 

@@ -16,7 +16,7 @@ from mbcacq_ur.wire import BadPackage, DataLayout, RefusedValues
 SENT = tuple(
     """
 timestamp actual_q actual_qd target_q actual_current joint_temperatures robot_mode safety_status_bits runtime_state target_speed_fraction
-payload output_int_register_0 output_int_register_1 output_int_register_2
+payload payload_cog output_int_register_0 output_int_register_1 output_int_register_2
 """.split()
 )
 SWITCHED = ("standard_digital_output_mask", "standard_digital_output")  # where digital outputs may be switched

@@ -64,13 +64,14 @@ class CalibratedWithFound:
         }
 
     def write(self, folder: Path) -> list[Path]:
-        """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError if that is impossible."""
+        """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError if that is impossible, also
+        where the folder is a link that leads out of the one above it."""
         from mbcacq.report.charts.spacing_svg import stages_picture
 
         files = {"result.json": sealed_text(self.result())}
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
-        return write_files(folder, files)
+        return write_files(folder.parent, {f"{folder.name}/{name}": content for name, content in files.items()})
 
     def show_in_viewer(self, run: Path, observations: Observations) -> Path:
         """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the

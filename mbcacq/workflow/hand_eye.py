@@ -117,7 +117,7 @@ class HandEyeSession:
         if found is None:
             self.missing.append(BoardImage(name=name, reason="the board was not found"))
             return f"view {number}: the board was not found; show all of it, sharp and evenly lit"
-        write_file(self.folder / "images" / name, opencv().imencode(".png", grey)[1].tobytes())
+        write_file(self.folder / "images" / name, opencv().imencode(".png", grey)[1].tobytes(), folder=self.folder)
         self.take(BoardView(name, *found), pose)
         write_file(self.folder / "poses.csv", self._csv())
         return f"view {number}: {len(found[0])} points of the board; {self.known()}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -84,6 +85,7 @@ def kuka_rsi(**krc: Any) -> Iterator[Stand]:
             short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},
             ready=lambda: not fake.report()["active"],
             output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
+            facts={name: partial(fake.inject, **{name.replace("load", "load_kg"): 9.0}) for name in ("load", "tool", "base")},
         )
 
 

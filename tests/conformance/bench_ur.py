@@ -47,6 +47,7 @@ def ur_rtde() -> Iterator[Stand]:
             output=(3, lambda: bool(fake.outputs >> 3 & 1)),
             facts={
                 "payload": lambda: fake.inject(payload=7.0),
+                "payload centre": lambda: fake.inject(payload_cog=(0.0, 0.0, 0.15)),
                 "speed slider": lambda: fake.inject(speed_fraction=0.5),
                 "safety": lambda: fake.inject(safety_bits=3),
             },

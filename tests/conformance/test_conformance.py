@@ -46,10 +46,10 @@ QUICK = {
 
 SWITCHES = {"kuka_rsi", "kuka_eki", "ur_rtde"}
 REPORTS_FACTS = {
-    *("ur_rtde", "opcua", "kuka_eki", "gocator", "gopxl", "gocator profiles", "gopxl profiles"),
+    *("ur_rtde", "opcua", "kuka_eki", "kuka_rsi", "gocator", "gopxl", "gocator profiles", "gopxl profiles"),
     *("modbus positioner", "serial positioner", "modbus sensor", "serial sensor"),
 }
-REPORTS_NONE = {"kuka_rsi", "folder", "manual", "simulated", "simulated scanner"}
+REPORTS_NONE = {"folder", "manual", "simulated", "simulated scanner"}
 
 
 OTHERS = [check for check in CHECKS if check is not a_changed_fact_is_seen]

@@ -107,7 +107,7 @@ def test_speed_slider_payload_and_safety_are_in_its_description(controller):
     controller.inject(speed_fraction=0.5, safety_bits=3)
     with arm(controller, payload_kg=2.3) as robot:
         about = robot.describe()
-    assert about.settings == {"speed slider": "50 %", "payload": "2.3 kg", "safety": "reduced"}
+    assert about.settings == {"speed slider": "50 %", "payload": "2.3 kg", "payload centre": "0.0, 0.0, 32.0 mm", "safety": "reduced"}
     assert about.firmware == "5.15.0.0"
     with pytest.raises(ConfigError, match=r"its payload is set to 2.30 kg, the plan says 4.00 kg"):
         arm(controller, payload_kg=4.0).connect()

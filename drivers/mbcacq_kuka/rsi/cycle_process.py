@@ -98,10 +98,10 @@ class CycleProcess:
         """Whether the outputs of these bits are to be on."""
         return self._shared is not None and bool(self._shared.outputs & bits)
 
-    def reports_on(self, number: int) -> bool:
-        """Whether the controller reports $OUT[number] as on; the session sends it (see handshake)."""
+    def newest(self, name: str) -> float:
+        """A value of the newest telegram, e.g. 'Digout.o3'; NaN where the session does not send it, or has ended."""
         with self._lock:
-            return self._shared is not None and self._reader.output(number)
+            return self._reader.newest(name)
 
     def close(self) -> None:
         """Brake, end the session, wait until the process has ended; cycles that were not read yet are kept for ``drain``. Idempotent."""

@@ -6,6 +6,7 @@ import atexit
 import logging
 import time
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from mbcacq.devices import (
     Description,
     DeviceFault,
     DeviceTimeout,
+    Fact,
     Field,
     MbcacqError,
     MotionLimits,
@@ -33,7 +35,9 @@ from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.option_values import check_output
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
 from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.record import WATCHED
 from mbcacq_kuka.rsi.shared import ALL_OUTPUTS, ARRIVED, MOVE, MOVING, STOP, RsiCommand
+from mbcacq_kuka.rsi.telegram import REPORT_ELEMENT, output_attribute
 
 _FAULTS: dict[str, type[MbcacqError]] = {
     "connect": ConnectError,
@@ -119,6 +123,14 @@ class KukaRsi(ContextDevice):
             verified_on_hardware=False,
         )
 
+    def facts(self) -> tuple[Fact, ...]:
+        """What the controller's program found as it began; none from programs that say nothing of it, as on iiQKA.OS2."""
+        if self._process is None:
+            return ()
+        load, *numbers = (self._process.newest(f"{WATCHED}{k}") for k in (1, 2, 3))
+        known = (Fact("load", load, "kg", 0.05),) if load >= 0 else ()
+        return (*known, *(Fact(name, number) for name, number in zip(("tool", "base"), numbers, strict=True) if isfinite(number)))
+
     def connect(self) -> None:
         """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable),
         SystemRefused (no shared memory)."""
@@ -148,7 +160,7 @@ class KukaRsi(ContextDevice):
         process, bit = self._check(), 1 << self._options.digital_outputs.index(number)
         process.switch(bit, value)
         deadline = time.monotonic() + self._options.silence_s
-        while process.reports_on(number) != value:
+        while (process.newest(f"{REPORT_ELEMENT}.{output_attribute(number)}") > 0.5) != value:
             if (now := self._check()) is not process or now.is_switched(bit) != value:
                 raise DeviceFault(f"robot '{self._name}': output {number} was switched off meanwhile, by a stop or a new session")
             if time.monotonic() > deadline:

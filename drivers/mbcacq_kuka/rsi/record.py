@@ -8,9 +8,10 @@ import numpy as np
 
 from mbcacq.devices import Cycles
 from mbcacq_kuka.rsi.shared import COUNTED, FIXED, Shared
-from mbcacq_kuka.rsi.telegram import REPORT_ELEMENT, output_attribute
+from mbcacq_kuka.rsi.telegram import REPORT_ELEMENT
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+WATCHED = "Tech.C2"  # C21 to C23: load, tool, base, written by the controller's program as it begins
 _RENAMED = {
     "MACur": "current_percent",
     "Delay.D": "delay",
@@ -29,6 +30,7 @@ class CycleReader:
         self._shared: Shared | None = shared
         self._rows = np.empty((0, len(FIXED)))
         self._tail = self.lost = 0
+        self._names: list[str] = []
         self._columns: dict[str, Any] = {}
         self._rest = np.empty((0, len(FIXED)))
         self._last = np.zeros(len(FIXED))
@@ -47,11 +49,12 @@ class CycleReader:
         row = self._last if self._shared is None else self._rows[(self._shared.head - 1) % len(self._rows)].copy()
         return {"time_s": float(row[1]), "flags": row[2], "command": row[3], "q": row[self._columns["q"]]}
 
-    def output(self, number: int) -> bool:
-        """Whether the newest row reports $OUT[number] as on."""
-        assert self._shared is not None  # asked while the session goes on
+    def newest(self, name: str) -> float:
+        """A value of the newest row; NaN where the session does not send it."""
+        if self._shared is None or name not in self._names:
+            return np.nan
         row = self._rows[(self._shared.head - 1) % len(self._rows)]
-        return bool(row[len(FIXED) + self._names.index(f"{REPORT_ELEMENT}.{output_attribute(number)}")] > 0.5)
+        return float(row[len(FIXED) + self._names.index(name)])
 
     def drain(self) -> Cycles:
         """All rows since the last call."""
@@ -93,6 +96,8 @@ def _columns(names: list[str]) -> dict[str, Any]:
     where["q_command"] = slice(FIXED.index("cA1"), FIXED.index("cA6") + 1)
     grouped: dict[str, list[int]] = {}
     for i, name in enumerate(names):
+        if name.startswith(WATCHED):
+            continue  # facts, not cycles
         if name in _RENAMED or "." not in name:
             where[_RENAMED.get(name, name)] = offset + i
         else:

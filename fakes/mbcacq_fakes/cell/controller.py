@@ -142,6 +142,7 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     else:
         client = (LOOPBACK, free_port())
     same = {k: options[k] for k in ("sen_type", "correction", "stop_element", "cycle_ms", "digital_outputs") if k in options}
+    same["load_kg"] = float(loaded.cell.robot.payload_mass)
     speed, acceleration = loaded.cell.robot.speed, loaded.cell.robot.acceleration
     if speed is not None:
         settings["acceleration_deg_s2"] = tuple(np.degrees(speed / FASTEST_START_S if acceleration is None else acceleration).tolist())

@@ -172,7 +172,7 @@ class RsiController(KukaController):
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("no_aipos"):
             return f'<Rob Type="KUKA"><Delay D="{self._session.delay}"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
-        key = (self._session.delay, self._session.start, self._written, *self._outputs.values())
+        key = (self._session.delay, self._session.start, self._written, *self._technology(), *self._outputs.values())
         if moved or self._encoders.noisy or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
         if self._counted("jump"):
@@ -197,9 +197,15 @@ class RsiController(KukaController):
             "GearTorque": lambda: getattr(arm, "torque", _zero()),
             "AJPos": lambda: getattr(arm, "joint_deg", arm.q),
             "EIPos": lambda: self._settings.external_deg,
+            "Tech": self._technology,
             "Delay": lambda: (self._session.delay,),
             "Digout": lambda: tuple(self._outputs.values()),
         }
+
+    def _technology(self) -> Sequence[float]:
+        """Load, tool and base, as the program of mbcacq writes them to $TECHPAR_C[2,..]."""
+        said = self.faults.get
+        return (said("load_kg") or self._settings.load_kg, said("tool") or 1.0, said("base") or 0.0, *[0.0] * 7)
 
     def _actual_pose(self) -> Sequence[float]:
         if self._pose[0] != self._arm.q:

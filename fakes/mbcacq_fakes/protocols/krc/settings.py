@@ -9,14 +9,14 @@ from typing import Any
 from mbcacq_fakes.protocols.faults import refuse_unknown
 
 PROFILES = {
-    "mbcacq": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "Delay"),
+    "mbcacq": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "Tech", "Delay"),
     "sdk": ("RIst", "AIPos", "EIPos", "Delay"),
     "ros": ("RIst", "RSol", "AIPos", "ASPos", "Delay"),
     "minimal": ("AIPos", "Delay"),
     "motion": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "GearTorque", "AJPos", "Delay"),
 }
 
-ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Delay")
+ELEMENTS = ("RIst", "RSol", "AIPos", "ASPos", "EIPos", "ESPos", "MACur", "MECur", "GearTorque", "AJPos", "Tech", "Delay")
 JUMP_DEG = 30.0
 FAULTS = {
     "silence": "no telegram leaves the controller",
@@ -32,6 +32,9 @@ FAULTS = {
     "ignore": "corrections are accepted and not carried out",
     "stuck": "outputs are not switched",
     "stop": "that many times the operator stops the program",
+    "load_kg": "the program says this of $LOAD",
+    "tool": "the program says this of $ACT_TOOL, in place of 1",
+    "base": "the program says this of $ACT_BASE, in place of 0",
     "swap": "the elements come in reverse order",
     "spaced": "1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them",
     "upper_type": "TYPE instead of Type",
@@ -75,7 +78,8 @@ class KrcSettings(ArmSettings):
 
     speed_deg_s, acceleration_deg_s2: a correction that asks an axis for ``overspeed`` times more ends the session; accelerations (deg/s^2)
     are watched where they are given and no answer was missing. clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full
-    range. external_deg: what EIPos shows. empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
+    range. external_deg: what EIPos shows. load_kg: in $LOAD, sent in Tech. empty_first: so many nearly empty telegrams begin a session, as
+    with RSI 2.
     timeout: late packets that end the session; counting: 'total' or 'consecutive'. digital_outputs: numbers n of $OUT[n] that the files
     on it switch by DiO and report as Digout; files of before have none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
@@ -89,6 +93,7 @@ class KrcSettings(ArmSettings):
     acceleration_deg_s2: tuple[float, ...] | None = None
     overspeed: float = 1.05
     external_deg: tuple[float, ...] = (0.0,) * 6
+    load_kg: float = 2.3
     cycle_ms: int = 4
     ipoc: int = 1_000_000
     sen_type: str = "ImFree"

@@ -20,6 +20,7 @@ _ATTRIBUTES = {
     "MECur": _EXTERNAL,
     "GearTorque": _AXES,
     "AJPos": _AXES,
+    "Tech": tuple(f"C2{k}" for k in range(1, 11)),
 }
 _MAX_ANSWER = 16384
 _SPACING = (("", "/>", "="), ("\r\n", " />", "="), ("\n", "/>", "="), ("  ", "  />", " = "))  # between elements, end of one, around =

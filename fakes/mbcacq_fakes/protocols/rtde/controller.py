@@ -41,6 +41,7 @@ FAULTS = {
     "program": "number of the program that runs on it",
     "speed_fraction": "of the speed slider",
     "payload": "kg",
+    "payload_cog": "m, its centre of gravity",
     "not_found": "set of variables that this version does not have",
     "in_use": "set of input registers that another client holds",
 }
@@ -64,8 +65,8 @@ class FakeUrController(TcpServer):
         **faults: Any,
     ) -> None:
         self._active: dict[str, Any] = {
-            **{"safety_bits": NORMAL, "robot_mode": 7, "runtime_state": 2, "program": PROGRAM, "speed_fraction": 1.0, "payload": 2.3},
-            **{"not_found": frozenset(), "in_use": frozenset()},
+            **{"safety_bits": NORMAL, "robot_mode": 7, "runtime_state": 2, "program": PROGRAM, "speed_fraction": 1.0},
+            **{"payload": 2.3, "payload_cog": (0.0, 0.0, 0.032), "not_found": frozenset(), "in_use": frozenset()},
         }
         self.inputs: dict[str, Any] = {}  # what clients wrote, last
         self.lock = threading.Lock()  # of the arm and what is said of it
@@ -198,6 +199,7 @@ class FakeUrController(TcpServer):
             "speed_scaling": arm.scale,
             "target_speed_fraction": a["speed_fraction"],
             "payload": a["payload"],
+            "payload_cog": a["payload_cog"],
             "standard_analog_output0": self.inputs.get("standard_analog_output_0", 0.0),
             "standard_analog_output1": self.inputs.get("standard_analog_output_1", 0.0),
             "actual_digital_output_bits": self.outputs,
