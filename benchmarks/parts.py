@@ -8,17 +8,22 @@ of the part before the scanner with the noise that scans of a casting have. Real
 from __future__ import annotations
 
 import argparse
+import json
 import resource
+import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bench
 import numpy as np
-from bench import PLANS, TESTS, option
+from bench import MBCACQ, PLANS, TESTS, option
+from mbcacq_fakes.world.description import ScannerView
+from mbcacq_fakes.world.noise import ScannerNoise
+from mbcacq_fakes.world.rays import Grid
+from mbcacq_fakes.world.scanner import FringeScanner
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -28,6 +33,7 @@ from mbcacq.design import part_coverage
 from mbcacq.design.options import OPTIONS as DESIGN
 from mbcacq.estimation import parameters
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.files.mesh_file import read_mesh
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.interim_check.on_part import with_points
@@ -35,15 +41,14 @@ from mbcacq.interim_check.options import UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, planned_check
 from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
-from mbcacq.parts.merge import merge
 from mbcacq.parts.observations import observations_of_parts
 from mbcacq.parts.options import PartOptions
-from mbcacq.parts.placement import CellPlacement, CommonMotion
-from mbcacq.parts.scans import PartScan
 from mbcacq.parts.scene import RegisteredScene
 from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.observation_writer import write_observation_set
+from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition, solver_cell
 from mbcacq.workflow.diagnose import diagnose
 from mbcacq.workflow.dry_run import device_overrides
@@ -257,33 +262,31 @@ def confirm(args: argparse.Namespace) -> None:
 
 
 def memory(args: argparse.Namespace) -> None:
-    """Peak memory of a merge, by the number of points."""
+    """Peak memory of ``mbcacq merge`` as a whole process, by the number of scans of a million points each."""
     import part_shapes
 
-    cell = check_of().cell
-    triangles, o, rng = (
-        part_shapes.height_field(part_shapes.SHAPES["casting"], half=(400.0, 300.0)),
-        PartOptions(),
-        np.random.default_rng(0),
-    )
-    one = part_shapes.scan(rng, triangles, part_shapes.look(10, 0))
-    q = np.radians([0, -70, 90, 0, 70, 0])
-    each = np.concatenate([one + rng.normal(0, 0.01, one.shape) for _ in range(max(1, 1_000_000 // len(one)))])
-    way = CellPlacement("geometry", cell)
+    loaded = plan_of(places=False)
+    poses, cell, rng = expand(loaded), solver_cell(loaded), np.random.default_rng(0)
+    mesh = read_mesh(PLANS / "parts" / "freeform.stl")
+    fine = Grid.with_pitch(ScannerView(), 0.083)
+    part_shapes.SCANNER = FringeScanner(fine, ScannerNoise.for_centres(np.array([0.005, 0.005, 0.009]), 0.012, 12.0))
+    known = check_of().cell
     for count in args.scans:
-
-        def scans(count: int = count) -> Any:
-            for k in range(count):  # each somewhere else on a large part
-                yield PartScan(k, q + np.radians([0.5 * k, 0, 0, 0, 0, 0]), each)
-
-        common, begun = CommonMotion.of(way, [(q, each[::5000])]), time.perf_counter()
+        q = np.array([poses[k % len(poses)].q + np.radians([0, 0, 0, 0, 0, 0.3 * (k // len(poses))]) for k in range(count)])
+        none = {"pose": np.zeros(0, int), "ball": np.zeros(0, int), "xyz": np.zeros((0, 3))}
+        seen = Observations(cell=cell, pose_id=np.arange(count), station=np.zeros(count, int), q=q, **none)
+        T = se3.inverse(loaded.cell.stations[0].planned_pose) @ known.frames(q)[:, -1] @ known.state.T_flange_scanner
         with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-            merged = merge(scans, way, common, (0.01, 0.009), 0.3, Path(folder) / "m.ply", o)
-        peak, took = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, time.perf_counter() - begun
-        print(
-            f"{merged.read / 1e6:.0f} million points of {count} scans: {merged.kept / 1e6:.1f} kept, {took:.0f} s, peak {peak:.2f} GiB",
-            flush=True,
-        )
+            write_observation_set(seen, Path(folder) / "set", {})
+            (Path(folder) / "result.json").write_text(json.dumps(known.to_dict()))
+            (Path(folder) / "set" / "scans").mkdir()
+            for k in range(count):
+                points = part_shapes.scan(rng, mesh.vertices[mesh.triangles], T[k])
+                write_ply(Path(folder) / "set" / "scans" / f"{k}.ply", points.astype(np.float32))
+            begun, command = time.perf_counter(), ["merge", f"{folder}/set", "--result", f"{folder}/result.json"]
+            subprocess.run([str(MBCACQ), *command], check=True)
+        peak, took = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20, time.perf_counter() - begun
+        print(f"{count} million points: {took:.0f} s, peak {peak:.2f} GiB", flush=True)
 
 
 if __name__ == "__main__":
@@ -300,7 +303,7 @@ if __name__ == "__main__":
                 "views": (views, [option("--cells", type=int, default=3, help="seeds"), option("--starts", type=int, default=50)]),
                 "memory": (
                     memory,
-                    [option("--scans", type=int, nargs="*", default=[5, 10, 20]), option("--folder", type=Path, default=Path())],
+                    [option("--scans", type=int, nargs="*", default=[10, 30, 100]), option("--folder", type=Path, default=Path())],
                 ),
             },
         )

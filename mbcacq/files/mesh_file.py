@@ -36,12 +36,14 @@ def read_mesh(path: str | Path) -> Mesh:
         raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one mesh; reduce it")
     announced = _announced_faces(path)
     found = open3d().io.read_triangle_mesh(str(path))
-    mesh = Mesh(np.asarray(found.vertices), np.asarray(found.triangles))
-    if len(mesh.triangles) < announced:
-        raise ConfigError(f"{path}: {len(mesh.triangles)} of its {announced} faces can be read; save the mesh anew")
-    if not len(mesh.triangles) or not np.isfinite(mesh.vertices).all():
-        raise ConfigError(f"{path}: holds no triangles, or corners that are no finite numbers; save the mesh anew")
-    return mesh
+    vertices, triangles = np.asarray(found.vertices), np.asarray(found.triangles)
+    if len(triangles) < announced:
+        raise ConfigError(f"{path}: {len(triangles)} of its {announced} faces can be read; save the mesh anew")
+    a, b, c = vertices[triangles].swapaxes(0, 1)
+    triangles = triangles[np.any(np.cross(b - a, c - a), axis=1)]  # those that have a normal
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise ConfigError(f"{path}: holds no triangles with an area, or corners that are no finite numbers; save the mesh anew")
+    return Mesh(vertices, triangles)
 
 
 def _announced_faces(path: Path) -> int:

@@ -15,6 +15,7 @@ from mbcacq.geometry import se3
 from mbcacq.parts.merge import merged_points, xyz_of
 from mbcacq.parts.options import PartOptions
 from mbcacq.quantities import K
+from mbcacq.spheres.cloud_file import UNITS_MM
 
 CHUNK = 500_000
 MOST_DRAWN = 60_000
@@ -89,10 +90,13 @@ def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: P
     """Compare a merged cloud with a mesh in mm.
 
     T_base_cad: (4, 4) where the model lies roughly, or where it does lie if ``fit`` is False; then uncertainties are those in the base
-    frame. Raises ConfigError if no point of the cloud lies near the model.
+    frame. Raises ConfigError if the model is not that of this part, or no point of the cloud lies near it.
     """
     surface, points = _Surface(mesh), merged_points(cloud)
-    T = surface.fitted(points[:: max(1, len(points) // options.points_per_scan)], T_base_cad, options) if fit else T_base_cad
+    some = points[:: max(1, len(points) // options.points_per_scan)]
+    best = surface.fitted(some, T_base_cad, options)
+    surface.refuse_other_part(xyz_of(some), best, options)
+    T = best if fit else T_base_cad
     deviation, sigma, drawn, apart = [], [], [], 0
     every = max(1, len(points) // MOST_DRAWN)
     for start in range(0, len(points), CHUNK):
@@ -103,7 +107,7 @@ def compare_with_cad(cloud: Path, mesh: Mesh, T_base_cad: np.ndarray, options: P
         apart += int((~near).sum())
         deviation.append(along[near])
         sigma.append(some["sigma_mm" if fit else "sigma_base_mm"][near].astype(float))
-        drawn.append(np.column_stack([placed[near], along[near]])[::every])
+        drawn.append(np.column_stack([placed[near], along[near]])[::every].copy())
     d, s = np.concatenate(deviation), np.concatenate(sigma)
     if not len(d):
         raise ConfigError(f"no point of {cloud} lies within {options.cad_reach_mm:g} mm of the model; is its frame that of the plan?")
@@ -130,7 +134,7 @@ class _Surface:
         self._corner = mesh.vertices[mesh.triangles]
         self._middle = mesh.vertices.mean(axis=0)
         normal = np.cross(self._corner[:, 1] - self._corner[:, 0], self._corner[:, 2] - self._corner[:, 0])
-        self._normal = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+        self._normal = normal / np.linalg.norm(normal, axis=1)[:, None]
         core = open3d().core
         self._scene = open3d().t.geometry.RaycastingScene(nthreads=1)
         vertices = (mesh.vertices - self._middle).astype(np.float32)
@@ -144,7 +148,26 @@ class _Surface:
         normal = self._normal[found["primitive_ids"].numpy().astype(np.int64)]
         away = points - nearest
         along, length = np.einsum("nc,nc->n", away, normal), np.linalg.norm(away, axis=1)
-        return np.where(length > 2 * np.abs(along), np.sign(along) * length, along), nearest, normal  # beside an edge: the length
+        return np.where(length > 2 * np.abs(along), np.copysign(length, along), along), nearest, normal  # beside an edge: the length
+
+    def refuse_other_part(self, base: np.ndarray, T: np.ndarray, options: PartOptions) -> None:
+        """Raise ConfigError if points (N, 3) of the base frame have another shape than the mesh, which fits them best at T (4, 4)."""
+        placed, corners = se3.apply(se3.inverse(T), base), self._corner.reshape(-1, 3)
+        low, high = corners.min(axis=0) - options.fit_capture_mm, corners.max(axis=0) + options.fit_capture_mm
+        placed = placed[((placed > low) & (placed < high)).all(axis=1)]  # the rest is of the fixture
+        if len(placed):
+            arm = placed - placed.mean(axis=0)
+            relief = np.median(np.abs(arm @ np.linalg.eigh(arm.T @ arm)[1][:, 0]))
+            size = float(np.linalg.norm(np.ptp(placed, axis=0)))
+            off = np.median(np.abs(self.distances(placed)[0]))
+            if off < max(options.other_relief * relief, options.other_size * size):
+                return
+        long, seen = float(np.ptp(corners, axis=0).max()), float(np.ptp(base, axis=0).max())
+        units = [unit for unit, mm in UNITS_MM.items() if mm != 1 and 0.5 < seen / long / mm < 2]
+        raise ConfigError(
+            f"the CAD model, {long:.3g} mm long, has another shape than the merged cloud, {seen:.3g} mm long; give the mesh of this part, "
+            f"not mirrored, {'in mm instead of ' + units[0] if units else 'in mm'}, and its rough place in the plan"
+        )
 
     def fitted(self, points: np.ndarray, T: np.ndarray, options: PartOptions) -> np.ndarray:
         """T_base_cad of the best fit, point to plane, from a rough one; points far off by a robust measure do not count."""

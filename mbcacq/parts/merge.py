@@ -1,14 +1,14 @@
 """One cloud of all scans of a part: in each voxel the point stays that is known best. Nothing is averaged or smoothed.
 
-Scans are read one at a time and their points put into blocks on the disk; blocks are thinned one at a time. So memory does not grow with
-the number of scans.
+Scans are read one at a time and their points put into blocks on the disk; blocks are thinned one at a time, and each in pieces. So memory
+does not grow with the number of scans.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from mbcacq.files.atomic_write import replacing
 from mbcacq.files.ply_header import read_header
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
-from mbcacq.parts.placement import CellPlacement, CommonMotion
+from mbcacq.parts.placement import CHUNK, CellPlacement, CommonMotion
 from mbcacq.parts.scans import Scans, ScanSurface, surface_of
 from mbcacq.spheres.ply import ply_header
 
@@ -56,7 +56,11 @@ def merge(
         blocks = _Blocks(Path(folder), voxel_mm, options)
         count = 0
         for scan in scans():
-            blocks.add(_points(surface_of(scan), placement, common, noise_mm))
+            surface = surface_of(scan)
+            for start in range(0, len(surface.points), CHUNK):
+                piece = slice(start, start + CHUNK)
+                some = replace(surface, points=surface.points[piece], normals=surface.normals[piece])
+                blocks.add(_points(some, placement, common, noise_mm))
             count += 1
         kept, sigma = 0, []
         body = Path(folder) / "body"
@@ -101,7 +105,7 @@ class _Blocks:
     """Points by blocks of space, in files. A block is as large as voxels of it with ``options.block_points`` points may be."""
 
     def __init__(self, folder: Path, voxel_mm: float, options: PartOptions) -> None:
-        self._folder, self._voxel, self.read = folder, voxel_mm, 0
+        self._folder, self._voxel, self._most, self.read = folder, voxel_mm, options.block_points, 0
         self._edge = voxel_mm * max(1, int((options.block_points / 10) ** 0.5))  # of a surface seen by ten scans
 
     def add(self, points: np.ndarray) -> None:
@@ -116,11 +120,15 @@ class _Blocks:
     def thinned(self) -> Iterator[np.ndarray]:
         """Block by block, of each voxel its best known point."""
         for path in sorted(self._folder.glob("block-*")):
-            points = np.fromfile(path, POINT)
-            voxel = cells_of(xyz_of(points), self._voxel)
-            order = np.lexsort((points["sigma_mm"], voxel))
-            first = np.unique(voxel[order], return_index=True)[1]
-            yield points[np.sort(order[first])]
+            best = np.empty(0, POINT)
+            with path.open("rb") as file:
+                while len(some := np.fromfile(file, POINT, self._most)):
+                    points = np.concatenate([best, some])
+                    voxel = cells_of(xyz_of(points), self._voxel)
+                    order = np.lexsort((points["sigma_mm"], voxel))
+                    first = np.unique(voxel[order], return_index=True)[1]
+                    best = points[np.sort(order[first])]
+            yield best
             path.unlink()
 
 

@@ -22,9 +22,11 @@ class PartOptions:
     coarse: sizes of the cells, in those at last, by which scans that are millimetres apart are brought together.
     scene_cells: of a scene, at most; their heights are unknowns of one dense system.
     noise_pairs: overlaps from which the smooth noise of a scene is estimated.
-    block_points: merged at a time; each takes about 100 bytes.
+    block_points: merged at a time; each takes about 200 bytes.
     cad_reach_mm: points farther from the CAD model are no points of the part.
     fit_capture_mm: by so much the part may stand off its planned place for the best fit to find it.
+    other_relief, other_size: a model from which the cloud deviates in the median by more than these shares of its own median distance from
+    a plane and of its size is that of another part. Mirrored, a part deviates by half its relief; the second share lets plates be warped.
     fit_rounds: linearisations of the best fit, at most.
     """
 
@@ -43,7 +45,9 @@ class PartOptions:
     coarse: tuple[float, ...] = (4.0, 2.0)
     scene_cells: int = 1500
     noise_pairs: int = 15
-    block_points: int = 4_000_000
+    block_points: int = 1_000_000
     cad_reach_mm: float = 5.0
     fit_capture_mm: float = 30.0
+    other_relief: float = 0.1
+    other_size: float = 0.004
     fit_rounds: int = 60

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def _fitted(
     total, in_group, groups = np.bincount(cell, minlength=m), np.bincount(group, minlength=g), np.bincount(cell_of, minlength=m)
 
     def sums(values: np.ndarray, of: np.ndarray, size: int) -> np.ndarray:
-        columns = [np.bincount(of, column, size) for column in values.reshape(len(of), -1).T]
+        columns = [np.bincount(of, column, size) for column in values.reshape(len(of), prod(values.shape[1:])).T]
         return np.stack(columns, axis=1).reshape(size, *values.shape[1:])
 
     middle, normal = sums(points, cell, m) / total[:, None], sums(normals, cell, m)
@@ -141,7 +142,7 @@ def _fitted(
     mean = sums(terms, group, g) / in_group[:, None]
     within = terms - mean[group]
     A, height = within[:, :_TERMS], within[:, _TERMS]
-    N = sums(A[:, :, None] * A[:, None, :], cell, m)
+    N = np.stack([sums(A * column[:, None], cell, m) for column in A.T], axis=1)  # all products at once would be 25 numbers a point
     inverse = np.linalg.inv(N + 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(_TERMS))
     shape = np.einsum("mij,mj->mi", inverse, sums(A * height[:, None], cell, m))
     left = height - np.einsum("nk,nk->n", A, shape[cell])

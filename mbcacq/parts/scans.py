@@ -62,7 +62,7 @@ def surface_of(scan: PartScan) -> ScanSurface:
 def thinned(surface: ScanSurface, most: int) -> ScanSurface:
     """At most about ``most`` of its points, spread evenly over their order."""
     every = max(1, -(-len(surface.points) // most))
-    return replace(surface, points=surface.points[::every], normals=surface.normals[::every])
+    return replace(surface, points=surface.points[::every].copy(), normals=surface.normals[::every].copy())  # the whole is let go
 
 
 def spacing(points: np.ndarray) -> float:

@@ -117,6 +117,7 @@ def merge_scans(
 
     o = PartOptions()
     source, out = Path(source), Path(out)
+    design = None if cad is None else read_mesh(cad)
     cell = as_cell(source if result is None else result)
     observations = load_observations(source)
     if isinstance(cell.nominal, FlangePoses):
@@ -133,12 +134,13 @@ def merge_scans(
     progress("merging them")
     noise = compared.scatter_mm, compared.noise.sigma_mm / np.sqrt(2)  # the distance of two scans has the noise of both
     common = CommonMotion.of(ways[-1], [(scan.q, scan.points[:: max(1, len(scan.points) // 30)]) for scan in seen])
-    merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
     drawn = {way.name: offsets(seen, way, EXAGGERATED, o) for way in (ways[0], ways[-1])}
+    del seen
+    merged = merge(scans, ways[-1], common, noise, voxel, out, o, simulated=observations.cell.simulated)
     deviations = None
-    if cad is not None:
+    if design is not None:
         progress("comparing with the design")
-        deviations = compare_with_cad(out, read_mesh(cad), _planned_place(source, station), o, fit=fit)
+        deviations = compare_with_cad(out, design, _planned_place(source, station), o, fit=fit)
     return MergedPart(
         station=station,
         cloud=out,

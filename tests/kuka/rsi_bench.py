@@ -1,5 +1,6 @@
 """An RSI session without sockets, and an arm that follows its last answer at once."""
 
+import math
 import re
 
 from mbcacq_kuka.rsi.options import RsiOptions
@@ -13,10 +14,11 @@ SOURCE = ("127.0.0.1", 50007)
 
 
 class Bench:
-    """``cycle`` is one exchange; ``q``: where the arm is, deg; ``sent``: corrections that the controller used; ``heard``: IPOC of
-    the last telegram that was answered."""
+    """``cycle`` is one exchange; ``q``: where the arm is, deg, with a lag of ``lag_s``, and A1 by ``beside_deg`` beside its set point;
+    ``sent``: corrections that the controller used; ``heard``: IPOC of the last telegram that was answered."""
 
-    def __init__(self, **options):
+    def __init__(self, lag_s=0.0, **options):
+        self.lag_s, self.beside_deg = lag_s, 0.0
         self.shared, self.outputs = Shared.create(), options.get("digital_outputs", ())
         self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
         self.ipoc, self.delay, self.sent = 1000, 0, []
@@ -44,7 +46,9 @@ class Bench:
         correction = tuple(float(v) for v in re.findall(rb'A\d="([^"]+)"', answer)) or self.sent[-1]
         if accepted:
             self.sent.append(correction)
-            self.q = tuple(s + c for s, c in zip(START, correction, strict=True))
+        share = 1.0 - math.exp(-T / self.lag_s) if self.lag_s else 1.0
+        target = [s + c + b for s, c, b in zip(START, self.sent[-1], (self.beside_deg, 0, 0, 0, 0, 0), strict=True)]
+        self.q = tuple(q + share * (t - q) for q, t in zip(self.q, target, strict=True))
         self.delay += not accepted if counted is None else counted
         return correction
 

@@ -50,7 +50,7 @@ def test_after_a_rejected_answer_the_motion_goes_on_from_what_the_controller_hel
         one.cycle()
     held = one.sent[-1]
     one.cycle(accepted=False)
-    for _ in range(15):  # whether it has taken the answer is seen from the arm, not from its count
+    for _ in range(10):  # whether it has taken the answer is seen from the arm, not from its count
         assert one.cycle() == held
     for _ in range(20):
         one.cycle()

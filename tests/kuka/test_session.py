@@ -185,6 +185,46 @@ def test_a_lost_telegram_behind_a_discarded_answer_starts_no_jump(bench, moving)
     assert path[-1] != path[0]
 
 
+@pytest.mark.parametrize("taken", [True, False], ids=["taken", "not taken"])
+@pytest.mark.parametrize("lag_s", [0.012, 0.03, 0.06])
+def test_an_arm_that_lags_is_not_taken_for_one_that_stands(bench, lag_s, taken):
+    """Seen too early it is before both set points, or at the wrong one: the path would step back, or forth by two."""
+    for moving in (4, 6, 8, 10, 14, 20):
+        one = bench(lag_s=lag_s)
+        one.move((100.0, *START[1:]))
+        for _ in range(moving):
+            one.cycle()
+        one.cycle(accepted=taken, counted=True)
+        before = len(one.sent)
+        for _ in range(200):
+            one.cycle()
+        after = np.array(one.sent)[before - 1 :, 0]
+        assert one.shared.fault() is None
+        assert after[-1] > after[0]
+        assert (np.diff(after) >= 0.0).all()
+        assert np.diff(after, 2, prepend=after[0]).max() <= ACCELERATION * T**2 * 1.001 + 4e-6
+
+
+@pytest.mark.parametrize(("moving", "beside_deg", "fault"), [(8, 0.001, None), (60, 0.001, None), (60, 0.2, "follow")])
+def test_an_arm_that_stands_beside_both_set_points(bench, moving, beside_deg, fault):
+    """A controller at rest is a little off. Is it by more than limits allow, something holds the arm, and no set point moves it on."""
+    one = bench()
+    one.move((100.0, *START[1:]))
+    for _ in range(moving):
+        one.cycle()
+    one.beside_deg = beside_deg
+    held = one.cycle(counted=True)
+    for _ in range(600):
+        one.cycle()
+    if fault is None:
+        assert one.shared.fault() is None
+        assert one.sent[-1][0] > held[0] + 1.0
+    else:
+        assert one.shared.fault()["kind"] == fault
+        assert "stands at neither" in one.shared.fault()["text"]
+        assert one.sent[-1] == held
+
+
 def test_a_restarted_program_is_never_answered(bench):
     one = bench()
     one.move((20.0, *START[1:]))

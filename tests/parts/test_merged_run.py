@@ -15,18 +15,22 @@ from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.files.mesh_file import read_mesh
+from mbcacq.files.mesh_file import Mesh, read_mesh
 from mbcacq.geometry import se3
 from mbcacq.parts.agreement import agreement
+from mbcacq.parts.cad import compare_with_cad
 from mbcacq.parts.merge import merge, merged_points
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
 from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, surface_of, thinned
+from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.spheres.cloud_file import read_cloud_file
+from mbcacq.workflow.export import export
 from mbcacq.workflow.merge_scans import merge_scans
 from mbcacq.workflow.part_scenes import scenes_as_observations, trials_on_parts
 
@@ -189,6 +193,39 @@ def test_a_design_in_metres_or_cut_off_is_refused(tmp_path):
     path.write_bytes(DESIGN.read_bytes()[:-10])
     with pytest.raises(ConfigError, match="is cut off: its head announces"):
         read_mesh(path)
+
+
+@pytest.mark.parametrize("other", ["mirrored", "in metres", "a plane"])
+def test_a_design_of_another_part_is_refused(merged, other):
+    mesh, T = read_mesh(DESIGN), merged.deviations.T_base_cad
+    plane = Mesh(np.array([[-90, -60, 40], [90, -60, 40], [90, 60, 40.0]]), np.array([[0, 1, 2]]))
+    mirrored, small = Mesh(mesh.vertices * [1, -1, 1], mesh.triangles[:, ::-1]), Mesh(mesh.vertices / 1000, mesh.triangles)
+    with pytest.raises(ConfigError, match="in mm instead of m," if other == "in metres" else "has another shape than the merged cloud"):
+        compare_with_cad(merged.cloud, {"mirrored": mirrored, "in metres": small, "a plane": plane}[other], T, PartOptions())
+
+
+def test_a_bent_part_is_still_the_part(merged):
+    mesh = read_mesh(DESIGN)
+    bent = Mesh(mesh.vertices + [0, 0, 1] * (5e-5 * mesh.vertices[:, :1] ** 2), mesh.triangles)  # by 0.4 mm at its ends
+    found = compare_with_cad(merged.cloud, bent, merged.deviations.T_base_cad, PartOptions())
+    assert 0.05 < found.rms_mm < 0.3
+    assert found.beyond_U > 0.5
+
+
+@pytest.mark.parametrize("corners", [[], [[0, 0, 0], [1, 1, 0], [2, 2, 0]]])
+def test_a_mesh_without_a_surface_is_refused(tmp_path, corners):
+    path = tmp_path / "a.obj"
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3\n" * bool(corners))
+    with pytest.raises(ConfigError, match="holds no triangles with an area"):
+        read_mesh(path)
+
+
+def test_a_folder_of_scans_of_a_part_alone_is_merged(run, tmp_path):
+    folder, observations, cell = run
+    export(folder, observations=tmp_path / "set", scans=True)
+    seen = load_observations(tmp_path / "set")
+    write_observation_set(seen.select(seen.phase == "part"), tmp_path / "set")
+    assert merge_scans(tmp_path / "set", tmp_path / "a.ply", result=cell).merged.scans == 8
 
 
 def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):

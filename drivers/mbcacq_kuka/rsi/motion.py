@@ -60,12 +60,11 @@ class RsiMotion:
         if target is not None and tuple(target) != self.position:
             self._target, self._pending, self.moving = target, True, True
 
-    def reaches(self, position: Sequence[float], other: Sequence[float]) -> bool:
-        """Whether an arm that stands at one place may be at the other in the next cycle, within the limits of the last motion."""
-        speed, acceleration, jerk = self._dynamics or ([0.0] * self._n,) * 3
-        most = [
-            min(v * self._cycle_s, a * self._cycle_s**2, j * self._cycle_s**3) for v, a, j in zip(speed, acceleration, jerk, strict=True)
-        ]
+    def reaches(self, position: Sequence[float], other: Sequence[float], jerk: bool = True) -> bool:
+        """Whether an arm that stands at one place may be at the other in the next cycle, within the limits of the last motion; jerk: that
+        of the jerk too."""
+        limits = (self._dynamics or ([0.0] * self._n,) * 3)[: 3 if jerk else 2]
+        most = [min(limit * self._cycle_s**order for order, limit in enumerate(axis, 1)) for axis in zip(*limits, strict=True)]
         return all(abs(b - a) <= near for a, b, near in zip(position, other, most, strict=True))
 
     def freeze(self, position: Sequence[float]) -> None:

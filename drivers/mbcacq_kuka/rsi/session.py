@@ -269,7 +269,7 @@ class RsiSession:
             self._ready = None
             return
         self._poll_command(now)
-        self._points.prepare(self._measured, self._standstill.mean if self._standstill.cycles >= _REST_CYCLES else None)
+        self._points.prepare(self._measured, self._standstill)
         if self._muted:
             return
         self._stop = self._ending(now)

@@ -11,6 +11,7 @@ whatever it counts. The hold itself is the exception.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -18,9 +19,12 @@ from mbcacq_kuka.rsi.handshake import Layout, SessionFault
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.plausibility import proof_fault
 from mbcacq_kuka.rsi.shared import RsiCommand
+from mbcacq_kuka.rsi.standstill import Standstill
 from mbcacq_kuka.rsi.step_limits import StepLimits
 
-MOST_DOUBTS = 200  # of a motion: each takes a tenth of a second, and more of them are no network that can be worked with
+MOST_DOUBTS = 200  # of a motion: each takes a fifth of a second, and more of them are no network that can be worked with
+FEWEST, MOST = 6, 250  # cycles in each of two windows; the most are a second
+NEAR, DRIFT = 0.25, 0.05  # in shares of the way between two set points: how near the arm is to one, and how little it still moves
 
 
 class SetPoints:
@@ -46,6 +50,7 @@ class SetPoints:
         self._proof = None if layout.carries_out else layout.proof(settings)
         self._doubt: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # the controller has one of these
         self._doubts = 0  # of this motion
+        self._shares: deque[float] = deque(maxlen=2 * MOST)  # of the way between the two at which the arm was seen since
         self.sent = self.used = self._next = layout.reference
         self.sent_moving = self.used_moving = self._next_moving = self._frozen = False
         self._consumed = True
@@ -89,6 +94,7 @@ class SetPoints:
             self.go_on_from_rest()
             return
         self._doubt, self.sent_moving, self._doubts = (self.used, self.sent), False, self._doubts + 1
+        self._shares.clear()
         if self._doubts > MOST_DOUBTS:
             late = "telegrams or answers were late or lost in this motion, each of which held the arm for a moment"
             self._fail(SessionFault("late", f"{self._doubts} {late}; check the network and the load of this computer"))
@@ -99,25 +105,41 @@ class SetPoints:
         self._limits.rest(self.sent)
         self.sent_moving, self._consumed = self._moves, True
 
-    def _look(self, standing: Sequence[float] | None) -> None:
-        """Decide where the controller is. standing: joints (6,) of an arm that stands, deg."""
+    def _look(self, measured: Sequence[float], arm: Standstill) -> None:
+        """Decide where the controller is, once the means of two windows, one after the other, agree on one of the two set points. An arm
+        with a lag comes nearer so slowly that it seems to stand elsewhere: so the way it still goes counts, not its speed."""
         assert self._doubt is not None  # prepare looked
-        if standing is None or self._frozen:
-            return
         before, last = self._doubt
         way = [b - a for a, b in zip(before, last, strict=True)]
-        share = sum(d * (q - a) for d, q, a in zip(way, standing, before, strict=True)) / sum(d * d for d in way)
-        self.sent, self._doubt = last if share > 0.5 else before, None
+        squared = sum(d * d for d in way)
+        self._shares.append(sum(d * (q - a) for d, q, a in zip(way, measured, before, strict=True)) / squared)
+        variance = sum(d * d * v for d, v in zip(way, arm.variance, strict=True)) / squared**2
+        cycles = min(max(FEWEST, round(100.0 * variance)), MOST)  # whose mean is known to a tenth of the way
+        if not arm.cycles or self._frozen or len(self._shares) < 2 * cycles:
+            return
+        seen = list(self._shares)[-2 * cycles :]
+        earlier, share = sum(seen[:cycles]) / cycles, sum(seen[cycles:]) / cycles
+        if abs(share - earlier) > DRIFT:
+            return
+        moved = share > 0.5
+        if abs(share - moved) > NEAR:
+            if len(self._shares) < 2 * MOST:
+                return
+            if not self._motion.reaches(before, last, jerk=False):  # else an arm that rests slightly beside what it was given
+                text = "the arm stands at neither of the two set points of which it was given one; look at what is in its way"
+                self._fail(SessionFault("follow", text))
+                return
+        self.sent, self._doubt = last if moved else before, None
         self.go_on_from_rest()
         self.used, self.used_moving = self.sent, self.sent_moving
 
     # what comes next
 
-    def prepare(self, measured: tuple[float, ...], standing: Sequence[float] | None) -> None:
+    def prepare(self, measured: tuple[float, ...], arm: Standstill) -> None:
         """The next set point, where the last one went out; one that is not within the limits is replaced by braking. measured: joints
-        (6,) deg; standing: their mean where the arm stands."""
+        (6,) deg; arm: how it stands."""
         if self._doubt is not None:
-            self._look(standing)
+            self._look(measured, arm)
         if not self._consumed or self._doubt is not None:
             return
         self._consumed = False

@@ -23,7 +23,7 @@ def noise_of(samples: Sequence[Sequence[float]]) -> list[float]:
 
 class Standstill:
     """``take`` the measured joints of every cycle. ``mean`` (6,) is that of the newest window; ``cycles``: how long the arm has been
-    standing."""
+    standing; ``variance`` (6,), deg^2: of an axis at rest."""
 
     def __init__(self, start: Sequence[float], noise_deg: Sequence[float], cycle_s: float) -> None:
         """start: joints (6,); noise_deg: standard deviation (6,) of each axis at rest."""
@@ -31,7 +31,7 @@ class Standstill:
         self._new: deque[Sequence[float]] = deque([start] * self._half)
         self._old: deque[Sequence[float]] = deque([start] * self._half)
         self._sums = [[v * self._half for v in start] for _ in range(2)]
-        self._variance = [v * v for v in noise_deg]
+        self.variance = [v * v for v in noise_deg]
         self._slow = _SLOW_DEG_S * self._half * cycle_s
         self.mean: tuple[float, ...] = tuple(start)
         self.cycles = self._asked_to_rest = 0
@@ -48,7 +48,7 @@ class Standstill:
         for axis, value in enumerate(measured):
             new[axis] += value - leaving[axis]
             old[axis] += leaving[axis] - forgotten[axis]
-            most = self._slow + _SIGMAS * (2.0 * self._variance[axis] / half) ** 0.5
+            most = self._slow + _SIGMAS * (2.0 * self.variance[axis] / half) ** 0.5
             still = still and abs(new[axis] - old[axis]) < most * half
             mean.append(new[axis] / half)
         self.mean = tuple(mean)
@@ -59,4 +59,4 @@ class Standstill:
             # move because it hums more in this posture than where it began.
             for axis, value in enumerate(measured):
                 change = value - before[axis]
-                self._variance[axis] += (0.5 * change * change - self._variance[axis]) / _MEMORY
+                self.variance[axis] += (0.5 * change * change - self.variance[axis]) / _MEMORY

@@ -59,6 +59,8 @@ def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
     centres: dict[str, Any]
     if wide is not None:
         centres = wide
+    elif all(cell.artefact(cell.stations[s].artefact).is_part for s in np.unique(poses["station"])):
+        centres = {"pose": np.zeros(0, int), "ball": np.zeros(0, int), "xyz": np.zeros((0, 3))}
     elif separate:
         centres = _read_centres(read_table(folder / "centres.csv", CENTRES, names=names), cell, poses)
     elif (folder / "scans").is_dir():

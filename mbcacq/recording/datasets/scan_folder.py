@@ -30,6 +30,8 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
         if not path.exists():
             continue
         artefact = cell.artefact(cell.stations[station[p]].artefact)
+        if artefact.is_part:
+            continue
         try:
             found = centres_from_ply(path, artefact)
         except DeviceFault as error:
