@@ -29,7 +29,8 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     named: the effects of the latter.
     """
     model = cell.effects
-    ending = [t for t in model.terms if t.name == UNKNOWN and len(t.covariates) == 1 and is_angle(*t.covariates)] if model else []
+    unmodelled = [t for t in model.terms if t.name == UNKNOWN and not t.clamped] if model else []  # what is held ends as a constant
+    ending = [t for t in unmodelled if len(t.covariates) == 1 and is_angle(*t.covariates)]
     if model is None or not ending:
         return cell
     changes = list(_changes(cell, without, named, ending))
