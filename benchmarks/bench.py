@@ -59,6 +59,9 @@ def main(doc: str | None, commands: dict[str, tuple[Callable[[argparse.Namespace
             one.add_argument(*names, **settings)
         one.set_defaults(function=function)
     given = parser.parse_args()
+    if getattr(given, "data", None) is not None and not given.data.is_dir():
+        where = "docs/data/README.md names where these recordings are published; --data FOLDER says where they lie"
+        parser.error(f"{given.data} is not there: {where}")
     return given.function(given) or 0
 
 

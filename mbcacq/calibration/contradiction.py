@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.description import misdescribed, wrong_length
+from mbcacq.calibration.description import misdescribed
 from mbcacq.calibration.description_hypotheses import exchanged_balls
 from mbcacq.calibration.published_cell import warned
 from mbcacq.calibration.recording_faults import beyond_noise, fault_of
+from mbcacq.calibration.target_size import wrong_length
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment

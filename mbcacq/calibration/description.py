@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import fminbound
 
 from mbcacq.calibration.description_hypotheses import Misreading, exchanged_balls, hypotheses, other_arms
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -20,7 +19,6 @@ from mbcacq.estimation.initial_guess import start
 from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.solver import solve
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K
 
 LEVER_MM = 100.0  # of the point that stands for an orientation
 MOST_POSES = 60  # a convention shows in few
@@ -33,11 +31,6 @@ SAME = 1.25  # factor within which two changes explain as much and cannot be tol
 LIKELIER = ("sign", "unit", "handedness", "orientation", "order", "offset", "coupling", "frame", "rows", "arm")  # of those that fit alike
 SCREENED = 8  # changes of the smallest residual in a few steps that are fitted to the end
 MOST_ALTERNATIVES = 3  # named in the text; a mirror of positions is any mirror
-SCALES = (0.8, 1.25)  # of measured places, that are tried; units are off by more
-SCALE_STEP = 1e-3  # of the difference that says how well a scale is known
-LEAST_CENTRES = 8  # fewer fit any scale
-SURE = 5.0  # standard uncertainties by which a scale must differ from 1
-MOST_WITH_SCALE = 0.7  # share of the misfit that may remain with it
 MOST_CHANGES = 2  # mistakes found one after the other
 
 
@@ -151,38 +144,6 @@ def residual_mm(o: Observations, screening: bool = False) -> float:
     square = np.sort(_squares(at))
     found = float(np.sqrt(square[: max(int(KEPT * len(square)), 1)].mean()))
     return found if np.isfinite(found) else float("inf")
-
-
-def wrong_length(o: Observations) -> str:
-    """A sentence on a stated length that the poses of a flange contradict: the scale of the measured places that fits best, of all three
-    coordinates or of the one along the scanner's z; '' if it is 1 within its uncertainty, or most of the misfit stays with it. Only poses
-    of a flange are asked for a scale, because links of an arm may err as a scale does. Balls of one scan show a scale by their distances.
-    """
-    if not o.cell.robot.of_flange_poses or np.bincount(o.pose).max(initial=0) != 1 or o.n_centres < LEAST_CENTRES:
-        return ""
-    few, found = subset(o), []
-    for what, axes in (("the measured places", np.ones(3)), ("the measured places along z of the scanner", np.array([0.0, 0.0, 1.0]))):
-
-        def square(s: float, axes: np.ndarray = axes) -> float:
-            return residual_mm(replace(few, xyz=few.xyz * (1 + (s - 1) * axes))) ** 2
-
-        best = float(np.asarray(fminbound(square, *SCALES, xtol=1e-6)).item())
-        step = SCALE_STEP
-        bend = (square(best + step) - 2 * square(best) + square(best - step)) / step**2
-        sigma = np.sqrt(2 * square(best) / max(few.n_centres * bend, 1e-300))
-        found.append((square(best), best, sigma, what))
-    (after, factor, sigma, what), (second, *_) = sorted(found)
-    before = residual_mm(few) ** 2
-    if abs(factor - 1) < SURE * sigma or after > (MOST_WITH_SCALE**2) * before:
-        return ""
-    cause = (
-        "the focal length or the depth scale of the camera" if what.endswith("scanner") else "the pitch or size of the target, or a unit"
-    )
-    either = ", or a scale of all three coordinates" if what.endswith("scanner") and second < SAME**2 * after else ""
-    return (
-        f"with {what} times {factor:.5f} ± {K * sigma:.1g} (k = 2) the residual falls from {_number(float(np.sqrt(before)))} to "
-        f"{_number(float(np.sqrt(after)))} mm{either}: {cause} is wrong by that; correct it, and calibrate with it"
-    )
 
 
 def _squares(at: Solution) -> np.ndarray:

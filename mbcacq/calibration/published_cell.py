@@ -16,7 +16,7 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.change import NOTABLE, ChangeEvidence
 from mbcacq.calibration.change_found import ChangeFound
-from mbcacq.calibration.description import wrong_length
+from mbcacq.calibration.target_size import target_scale, wrong_length
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording, as_it_is
@@ -81,8 +81,11 @@ def with_notes_on_poses(cell: CalibratedCell, observations: Observations) -> Cal
         some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
         said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
         cell = warned(cell, said)
-    if length := wrong_length(observations):
+    length = wrong_length(cell.fit.observations)
+    if length and not any(length in said for said in cell.extra.get("warnings", ())):
         cell = warned(cell, f"A length contradicts the poses of the flange: {length}")
+    if scale := target_scale(cell.fit.observations):
+        cell = replace(cell, extra={**cell.extra, "scale_from": str(scale)})
     if observations.images is not None:
         at = [i for i, name in enumerate(cell.names) if name.startswith(f"{SHARED}_")]
         found = next((c for t, c in cell.fit.instrument_errors(observations) if t.name == SHARED), np.zeros(0))

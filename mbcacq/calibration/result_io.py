@@ -23,11 +23,11 @@ from mbcacq.errors import ConfigError, command_line
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.parameters import ParameterLayout
-from mbcacq.files.atomic_write import finish_set
+from mbcacq.files.atomic_write import finish_set, write_file
 from mbcacq.geometry import se3
 from mbcacq.model.cell import SIMULATED, Cell, counted_axes, link_parameters
 from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import damage, damaged, read_json, unsealed
+from mbcacq.model.json_text import damage, damaged, read_json, sealed_text, unsealed
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
@@ -188,9 +188,21 @@ def export_command(result: Mapping[str, Any], source: object) -> str:
 
 
 def caveats(result: Mapping[str, Any]) -> list[str]:
-    """One sentence each, for the content of a result.json: simulated data, values without verification."""
-    verified = bool((result.get("verification") or {}).get("places") or result.get("held_out"))
-    return [*([SIMULATED] if result.get("simulated") else []), *([] if verified else [UNVERIFIED])]
+    """One sentence each, for the content of a result.json: simulated data, values without verification, recordings that contradict it."""
+    trials = result.get("trials") or {}
+    against = [sentence for sentence in trials.values() if " contradicts " in sentence]
+    verified = bool((result.get("verification") or {}).get("places") or result.get("held_out") or trials)
+    return [*([SIMULATED] if result.get("simulated") else []), *([] if verified else [UNVERIFIED]), *against]
+
+
+def note_trials(source: Path, trials: Mapping[str, str]) -> None:
+    """Write into the result of one recording how it did on others. source: its file or folder; trials: a sentence for each recording.
+
+    Raises ConfigError where the file cannot be written.
+    """
+    file = source / "result.json" if source.is_dir() else source
+    content = read_result(file)
+    write_file(file, sealed_text({**content, "trials": {**(content.get("trials") or {}), **trials}}))
 
 
 def with_warnings(result: Mapping[str, Any]) -> list[str]:

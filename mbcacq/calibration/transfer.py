@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import computed_field
 
 from mbcacq.calibration.calibrate import calibrate, changed_while_recorded
 from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
@@ -115,6 +116,7 @@ class Transfer(AsJson):
     def text(self) -> str:
         """The figures in plain sentences."""
         out = [
+            *([f"Verdict: {self.judgement}."] if self.verdict != "none" else []),
             f"On {self.recording or 'the other recording'} ({self.tried_on}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
@@ -140,6 +142,27 @@ class Transfer(AsJson):
             out.append(f"  error over stated uncertainty: {self.normalised_error.in_words}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
+    @computed_field
+    @property
+    def verdict(self) -> str:
+        """'agrees' if the errors are as large as the result states, 'contradicts' if they are larger than in 97.5 % of recordings of which
+        the statement holds, 'none' if that is not known."""
+        error = self.normalised_error
+        if error is None or error.usual is None:
+            return "none"
+        return "contradicts" if error.rms > error.usual[1] else "agrees"
+
+    @property
+    def judgement(self) -> str:
+        """The verdict as a sentence that can stand beside the result."""
+        name, error = self.recording or "the other recording", self.normalised_error
+        if self.verdict == "none" or error is None:
+            return f"{name} does not say whether the stated uncertainty holds"
+        if self.verdict == "agrees":
+            return f"{name} agrees with the result: its errors are within the stated uncertainty"
+        times = error.rms / (error.expected_rms or 1.0)
+        return f"{name} contradicts the result: its errors are {times:.2g} times as large as stated"
+
     @property
     def tried_on(self) -> str:
         """Numbers of what it was tried on, in words."""
@@ -150,11 +173,12 @@ class Transfer(AsJson):
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
         """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""
         learnt, effects = getattr(self.geometry_alone, figure), getattr(self.with_effects, figure)
-        text = f"{shown(learnt)} with the learnt geometry"
+        what = "hand-eye transform" if self.fitted == FITTED_OF_FLANGE else "geometry"
+        text = f"{shown(learnt)} with the learnt {what}"
         if self.with_effects != self.geometry_alone:
             text += f" alone, {shown(effects)} with its effects"
         if self.own_geometry:
-            text += f"; {shown(getattr(self.own_geometry, figure))} with a geometry fitted there"
+            text += f"; {shown(getattr(self.own_geometry, figure))} with a {what} fitted there"
         return text
 
 

@@ -109,8 +109,12 @@ def command(
 
         write_file(out, sealed_text(result))
         result["files"] = {"result": str(out)}
-    joints = not (of_flange_poses(result) or result.get("length_instrument"))
-    then = next_step(data, effects, out, joints, result.get("fit", {}).get("poses"))
+    if of_flange_poses(result):
+        then = next_of_flange_poses(data, out)
+    elif result.get("length_instrument"):
+        then = "hold the usual methods against it", command_line("compare", data[0])
+    else:
+        then = next_step(data, effects, out, result.get("fit", {}).get("poses"))
     return Answer(result, lines_of_joint(result) if others else lines_of(result), then, wide=True)
 
 
@@ -119,13 +123,15 @@ def answer_of_run(done: RunResult) -> Answer:
     return Answer(done.to_dict(), lines_of(done.to_dict()), done.next_step, wide=True, end=done.refuse_beyond_limit)
 
 
-def next_step(
-    data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True, poses: int | None = None
-) -> tuple[str, str]:
-    """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done. joints: their angles
-    are known; no effect can be asked for with poses of the flange."""
-    if not joints:
-        return "hold the usual methods for the hand-eye transformation against it", command_line("compare", data[0])
+def next_of_flange_poses(data: tuple[Path, ...], out: Path | None) -> tuple[str, str]:
+    """What to do after a calibration from poses of a flange, and the command for it: no effect can be asked for."""
+    if out is None:
+        return "keep the result", command_line("calibrate", *data, "--hand-eye-only", "--out", "result.json")
+    return "judge it by further poses", command_line("verify", out, "OTHER")
+
+
+def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, poses: int | None = None) -> tuple[str, str]:
+    """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done."""
     if not effects and (poses is None or poses >= DIAGNOSIS.fewest_poses):
         return "ask whether the model lacks an effect", command_line("diagnose", *data)
     if out is None:

@@ -78,5 +78,5 @@ def lines_of(done: InterimCheck) -> list[str]:
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
         out += [f"  {name} ({where}): {size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
-    page = [f"page: {done.run / 'report.html'}"] if done.run.is_dir() else []
+    page = [f"page: {done.page}"] if done.run.is_dir() else []
     return [*out, f"recording: {done.run}", f"history: {done.file}", *page]

@@ -47,11 +47,12 @@ def program(
         done = frozenset[int]() if resume is None else poses_done(resume)
         files = robot_program(loaded, dialect, trigger=trigger, done=done)
         written = write(files, out, replace)
+    clouds, rest = ("clouds", ()) if resume is None else ("more-clouds", ("--resume", resume))
     return Answer(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},
         [*map(str, written), "nobody has run this program: first in the slow manual mode (T1, TEACH), a hand on the enabling switch"],
         (
-            f"read {out / 'README.txt'}, save the clouds of the scanner in a folder 'clouds'",
-            command_line("collect", plan, "--clouds", "clouds"),
+            f"read {out / 'README.txt'}, save the clouds of the scanner in a folder '{clouds}'",
+            command_line("collect", plan, "--clouds", clouds, *rest),
         ),
     )

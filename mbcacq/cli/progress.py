@@ -95,8 +95,8 @@ class RunProgress:
         left = self._left(elapsed, self._total - done)
         if self._stepped or done % 10 == 0 or done == self._total:
             self._stepped = False
-            balls = f"{self._balls} ball{'s' * (self._balls != 1)}"
-            self._say(f"{self._step}: {done} of {self._total} poses, station {self._station}, {balls}{left}")
+            balls = f", {self._balls} ball{'s' * (self._balls != 1)}" if self._balls else ""  # a part, or a scan read later
+            self._say(f"{self._step}: {done} of {self._total} poses, station {self._station}{balls}{left}")
 
     def _say(self, text: str) -> None:
         """A line that stays: broken between words on a terminal, whole elsewhere."""

@@ -28,7 +28,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.quantities import capitalised
 from mbcacq.recording.run_folder.lock import write_lock
-from mbcacq.recording.run_folder.register import RunKind
+from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
@@ -96,6 +96,11 @@ class InterimCheck:
         return self.verdict.changed
 
     @property
+    def page(self) -> Path:
+        """The page of the check; a run that served as a check keeps its own report."""
+        return self.run / ("report.html" if kind_of(self.run) is RunKind.CHECK else "check.html")
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         return sentence_of(self.verdict, self.history)
@@ -112,6 +117,8 @@ class InterimCheck:
         day, days = None if since is None else times[since], None if between is None else [times[k] for k in between]
         said = {"format": FORMAT, **fields_as_json(self.verdict), "checks": len(times)}
         said |= {"log_e_by_check": [day.log_e for day in self.history.days], "since": day, "since_between": days}
+        undone = [{"label": one.suspect.label, "from": times[one.first], "until": times[one.end]} for one in self.verdict.put_right]
+        said |= {"put_right": undone}
         return said | {"before_first_check": since == 0, "files": {"history": str(self.file), "recording": str(self.run)}}
 
     def next_step(self, result: Path | str, plan: Path, dry_run: bool) -> tuple[str, str]:
@@ -239,7 +246,7 @@ def check(
             about |= {"version": f"mbcacq {__version__}", "next": done.next_step(named, loaded.path, dry_run)}
             kept = done.to_dict() | shown(planned, past, verdict) | about
             keep_check_result(run, kept)
-            write_check_page(kept, run / "report.html")
+            write_check_page(kept, done.page)
         operator.progress("")
         return done
 

@@ -14,7 +14,8 @@ Under the null of any mu and any level h, E is at most a martingale of mean one:
 is a bound if the noise is normal with one of the levels. Which name gets the odds is calibration: it depends on sizes and list.
 
 By sufficiency the rows enter through y_t = G' Sigma^-1 r_t alone. Let T and C be their sums over all t and over the first n days. The score
-of a change after day n is S = n T / t - C, with information n (t - n) / t times G' Sigma^-1 G.
+of a change after day n is S = n T / t - C, with information n (t - n) / t times G' Sigma^-1 G. A change that is undone after day e has the
+sum over its own days and their number m in place of T - C and t - n.
 """
 
 from __future__ import annotations
@@ -109,14 +110,18 @@ class EProcess:
         possible = self.possible(days)
         return Followed(self, self.null(days), {h: np.cumsum(days @ self.levels[h].scores, axis=0) for h in possible})
 
-    def log_factors(self, level: int, sums: np.ndarray, t: int, after: np.ndarray | None = None) -> np.ndarray:
+    def log_factors(
+        self, level: int, sums: np.ndarray, t: int, after: np.ndarray | None = None, until: np.ndarray | None = None
+    ) -> np.ndarray:
         """(onsets, sizes, A) log Bayes factors of every change against no change after t days.
 
-        sums: (t, K) cumulated scores of the days. after: after how many days the change is, default 1, 2, ... t - 1.
+        sums: (t, K) cumulated scores of the days. after: after how many days the change is, default 1, 2, ... t - 1; until: after how many
+        it is undone, default not.
         """
         n = np.arange(1, t) if after is None else after
-        S = (n / t)[:, None] * sums[t - 1] - sums[n - 1]
-        information = (n * (t - n) / t)[:, None] * self.levels[level].information
+        e = np.full_like(n, t) if until is None else until
+        S = sums[e - 1] - sums[n - 1] - ((e - n) / t)[:, None] * sums[t - 1]
+        information = ((e - n) * (t - e + n) / t)[:, None] * self.levels[level].information
         out = []
         for size in self.options.sizes:
             v = size**2

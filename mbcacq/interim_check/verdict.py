@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from mbcacq.errors import DeviceFault
 from mbcacq.estimation.solver import one_thread
-from mbcacq.interim_check.e_process import EProcess, Level, weight_of
+from mbcacq.interim_check.e_process import EProcess, Followed, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS
 from mbcacq.interim_check.planned_check import PlannedCheck
@@ -21,6 +21,7 @@ from mbcacq.model.json_text import keyed
 AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
 POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
+THRESHOLD = float(np.log(2 / OPTIONS.false_alarms))  # of either e-process
 UNSEEN = 1e4  # usual changes: what is noticed no sooner is not seen at all
 
 
@@ -44,6 +45,15 @@ class Suspect:
 
 
 Noticed = Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")]
+
+
+@dataclass(frozen=True)
+class PutRight:
+    """A change that was undone: the check ``first`` was after it, ``end`` the first one as before again; suspect: most probably."""
+
+    first: int
+    end: int
+    suspect: Suspect
 
 
 @dataclass(frozen=True)
@@ -72,6 +82,8 @@ class CheckVerdict:
         Level of the noise that fits best, in that of the calibration.
     day : Annotated[float, Field(alias=day_level)]
         Level of the changes from day to day, in the usual ones.
+    put_right : Annotated[tuple[PutRight, ...], Field(exclude=True)]
+        Changes that were undone since. Their checks are left out of all else.
     """
 
     verdict: str
@@ -84,6 +96,7 @@ class CheckVerdict:
     noticed: Annotated[tuple[Noticed, ...], Field(alias="noticed_within_a_week")]
     noise: Annotated[float, Field(alias="noise_level")]
     day: Annotated[float, Field(alias="day_level")]
+    put_right: Annotated[tuple[PutRight, ...], Field(exclude=True)] = ()
 
     @property
     def changed(self) -> bool:
@@ -92,12 +105,14 @@ class CheckVerdict:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The measured days of a history as rows, with the e-process of the rows that all days have. keep: (R,) bool of the planned rows."""
+    """The measured days of a history as rows, with the e-process of the rows that all days have. keep: (R,) bool of the planned rows;
+    raised: an alarm was raised on one of the days."""
 
     process: EProcess
     changes: tuple[PossibleChange, ...]
     days: np.ndarray
     keep: np.ndarray
+    raised: bool = False
 
 
 def evidence_of(check: PlannedCheck, history: CheckHistory) -> Evidence:
@@ -113,7 +128,7 @@ def evidence_of(check: PlannedCheck, history: CheckHistory) -> Evidence:
     days = np.array(measured)[:, keep]
     changes = tuple(r.select(keep) for r in check.changes)
     process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]))
-    return Evidence(process, changes, days, keep)
+    return Evidence(process, changes, days, keep, any((day.log_e or 0.0) >= THRESHOLD for day in history.days))
 
 
 def verdict_of(check: PlannedCheck, history: CheckHistory) -> CheckVerdict:
@@ -124,28 +139,58 @@ def verdict_of(check: PlannedCheck, history: CheckHistory) -> CheckVerdict:
 
 def verdict_by(evidence: Evidence, check: PlannedCheck) -> CheckVerdict:
     """What the rows of all days say together."""
-    process, T = evidence.process, len(evidence.days)
+    process, T, raised = evidence.process, len(evidence.days), evidence.raised
     if T > 1:
         followed = process.follow(evidence.days)
         log_e, level, null = followed.log_e(T), followed.level(T), int(np.argmax(followed.null[:, -1]))
+        raised = raised or log_e >= THRESHOLD
+        if raised and (undone := _undone(followed, T)) is not None:
+            return _since_put_right(evidence, check, *undone)
     else:
         log_e, level, null = 0.0, process.usual, process.usual
     factors, estimates = _since_calibration(check, evidence, process.levels[null])
     log_first = float(np.asarray(logsumexp(factors)))
-    threshold = float(np.log(2 / OPTIONS.false_alarms))
-    changed = max(log_e, log_first) >= threshold
-    suspects: tuple[Suspect, ...] = ()
+    at_first = log_first >= THRESHOLD and log_first > log_e
+    changed, suspects = raised or at_first, ()
     since = between = None
-    if changed and log_e >= log_first:
-        suspects, since, between = _suspects_since(evidence, level, T)
-    elif changed:
+    if at_first:
         suspects, since, between = _ranked(evidence.changes, factors, estimates), 0, (0, 0)
+    elif raised:
+        suspects, since, between = _suspects_since(evidence, level, T)
     shown, seen, said = process.levels[level if changed else null], noticed(evidence, null, T), CHANGED if changed else AS_BEFORE
-    return CheckVerdict(said, log_e, log_first, threshold, suspects, since, between, noticed=seen, noise=shown.noise, day=shown.day)
+    return CheckVerdict(said, log_e, log_first, THRESHOLD, suspects, since, between, noticed=seen, noise=shown.noise, day=shown.day)
 
 
 Estimate = tuple[np.ndarray, np.ndarray, float]
 Estimates = list[Estimate]
+
+
+def _undone(followed: Followed, T: int) -> tuple[int, int, int] | None:
+    """First check after a change, first one after its end, and the level of the noise, where the odds for the end are twenty to one."""
+    process, begins, stands = followed.process, np.arange(1, T), []
+    ended = np.full((len(process.levels), T, T), -np.inf)
+    for h, sums in followed.sums.items():
+        null = followed.null[h, -1] + process.log_weight
+        onsets = process.log_onsets(begins)
+        stands.append(logsumexp(null + onsets[:, None, None] + process.log_factors(h, sums, T)))
+        for n in begins[:-1]:
+            ends = np.arange(n + 1, T)
+            each = np.asarray(logsumexp(null + process.log_factors(h, sums, T, np.full_like(ends, n), ends), axis=(1, 2)))
+            ended[h, n, n + 1 :] = each + onsets[n - 1] - np.log(len(ends))
+    if logsumexp(ended) - logsumexp(stands) < np.log(OPTIONS.class_odds):
+        return None
+    level, first, end = np.unravel_index(int(np.argmax(ended)), ended.shape)
+    return int(first), int(end), int(level)
+
+
+def _since_put_right(evidence: Evidence, check: PlannedCheck, first: int, end: int, level: int) -> CheckVerdict:
+    """What the rows say without the checks from a change until its end."""
+    days, rest = evidence.days, [k for k in range(len(evidence.days)) if not first <= k < end]
+    suspects, *_ = _suspects_since(replace(evidence, days=days[:end]), level, end)
+    said = verdict_by(replace(evidence, days=days[rest], raised=False), check)
+    since, between = (None if said.since is None else rest[said.since]), said.between and (rest[said.between[0]], rest[said.between[1]])
+    others = (replace(one, first=rest[one.first], end=rest[one.end]) for one in said.put_right)
+    return replace(said, since=since, between=between, put_right=(PutRight(first, end, suspects[0]), *others))
 
 
 def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level) -> tuple[np.ndarray, Estimates]:
@@ -254,7 +299,7 @@ def noticed(evidence: Evidence, level: int, T: int) -> tuple[tuple[str, str, flo
         if change.name not in ("mastering", "mount", "artefact"):
             continue
         information = n * np.einsum("rk,rs,sk->k", change.columns, lv.weight, change.columns, optimize=True)
-        cost = np.log(2 / OPTIONS.false_alarms) - onset - weight + np.log(len(OPTIONS.sizes) * len(process.levels))
+        cost = THRESHOLD - onset - weight + np.log(len(OPTIONS.sizes) * len(process.levels))
         cost = cost + 0.5 * len(change.usual) * np.log1p(information)
         size = change.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
         out += [

@@ -38,9 +38,9 @@ def size_of(suspect: Suspect) -> str:
 
 def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
     """One sentence: as before, or what changed, where, since when, by how much."""
-    n = len(history.days)
+    n, undone = len(history.days) - sum(one.end - one.first for one in verdict.put_right), _undone_in_words(verdict, history)
     if not verdict.changed:
-        return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} that {len(history.poses)} poses would have noticed"
+        return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} that {len(history.poses)} poses would have noticed{undone}"
     first, names = verdict.suspects[0], [s.label for s in verdict.suspects if s.name != UNNAMED]
     shown = " or ".join(names[:MOST]) + (f" or {len(names) - MOST} others like them" if len(names) > MOST else "")
     if first.name == UNNAMED:
@@ -56,4 +56,14 @@ def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
         if low != high:
             when += f" (with 90 % before one of those from {history.days[low].time} to {history.days[high].time})"
     size = size_of(first)
-    return f"{what}, {when}" + (f"; if it is the first: {size}" if size and len(names) > 1 else f"; {size}" if size else "")
+    return f"{what}, {when}" + (f"; if it is the first: {size}" if size and len(names) > 1 else f"; {size}" if size else "") + undone
+
+
+def _undone_in_words(verdict: CheckVerdict, history: CheckHistory) -> str:
+    said = ""
+    for one in verdict.put_right:
+        first, last, end = (history.days[k].time for k in (one.first, one.end - 1, one.end))
+        days = f"at the check of {first}" if first == last else f"from the check of {first} to that of {last}"
+        size = f", {size}" if (size := size_of(one.suspect)) else ""
+        said += f"; the cell was off {days} ({one.suspect.label}{size}); that was put right before the check of {end}"
+    return said

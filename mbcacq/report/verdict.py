@@ -60,7 +60,7 @@ HOLD_OUT = (
 VERIFY_ON_VIEWS = (
     "Verify on further views",
     "Nothing independent says how good the hand-eye transformation is. Take ten further views of the target, with the flange turned "
-    "otherwise than before, and try the result on them.",
+    "otherwise than before, and try the result on them. mbcacq data new makes a set of further images, as it made the first.",
 )
 
 
@@ -77,6 +77,8 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spac
             f"No verification artefact was measured. Residual on the poses of the calibration: {micrometres(fit['rms_mm'])} (3D rms).",
         )
     errors = f"{largest_error(spacing)}{_compared(spacing, earlier)}, mean {spacing.mm(np.abs(spacing.after).mean())} mm"
+    if spacing.judging is not None and (np.abs(spacing.before) <= K * spacing.judging).all():
+        errors += "; these lengths were right before the calibration too, so they do not judge it"
     if spacing.limit is None:
         return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
     if spacing.judging is None:
@@ -207,7 +209,8 @@ def next_action(
         return VERIFY_INDEPENDENTLY
     at = with_effects or (name if plan else "result.json")  # a run holds its result, an observation set does not
     if of_flange_poses(result) or result.get("length_instrument"):
-        return Action(*VERIFY_ON_VIEWS, command_line("verify", at, "further-views.csv"))
+        further = "further-set" if result.get("images") else "further-views.csv"
+        return Action(*VERIFY_ON_VIEWS, command_line("verify", at, further))
     action = None
     if not with_effects and found is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)

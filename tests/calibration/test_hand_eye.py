@@ -15,7 +15,7 @@ from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.hand_eye_equations import MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.cli.calibrate import command as calibrate_command
-from mbcacq.cli.calibrate import next_step
+from mbcacq.cli.calibrate import next_of_flange_poses
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
@@ -218,4 +218,5 @@ def test_of_poses_of_the_flange_no_effect_of_a_joint_is_asked_for():
     found = recording(np.random.default_rng(3), "sphere")
     with pytest.raises(ConfigError, match="no joint angles.*mbcacq compare"):
         mbcacq.diagnose(found.observations)
-    assert next_step((Path("poses.csv"),), (), None, joints=False)[1] == "mbcacq compare poses.csv"
+    assert next_of_flange_poses((Path("poses.csv"),), None)[1] == "mbcacq calibrate poses.csv --hand-eye-only --out result.json"
+    assert next_of_flange_poses((Path("poses.csv"),), Path("he.json"))[1] == "mbcacq verify he.json OTHER"

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import mbcacq
 from mbcacq.calibration.calibrate import calibrate
+from mbcacq.calibration.result_io import UNVERIFIED, caveats, read_result
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
@@ -184,3 +185,22 @@ def test_places_that_were_bumped_are_said_beside_the_figures(other, result):
     assert found.warnings[0].startswith("the artefacts or the robot's base seem to have been moved a little since the result was made: ")
     assert "use --place fitted" in found.warnings[0]
     assert not any("moved" in w for w in mbcacq.verify_elsewhere(other, result, place="known").warnings)
+
+
+def test_the_verdict_is_noted_in_the_result_which_then_counts_as_verified_or_contradicted(calibrated, other, tmp_path):
+    file = tmp_path / "result.json"
+    file.write_text(calibrated.to_json(), encoding="utf-8")
+    bent = other.q + np.deg2rad(0.05) * np.sin(2 * other.q[:, [1]]) * (np.arange(6) == 2)
+    for name, obs in (("same", other), ("bent", replace(other, q=bent))):
+        write_observation_set(obs, tmp_path / name)
+
+    assert UNVERIFIED in caveats(read_result(file))
+    first = CliRunner().invoke(command, [str(file), str(tmp_path / "same")])
+    assert f"Verdict: {tmp_path / 'same'} agrees with the result" in first.output
+    assert not [s for s in caveats(read_result(file)) if "contradicts" in s]
+    assert UNVERIFIED not in caveats(read_result(file))
+    second = CliRunner().invoke(command, [str(file), str(tmp_path / "bent")])
+    assert f"mbcacq calibrate {tmp_path / 'bent'}" in second.output
+    against = [s for s in caveats(read_result(file)) if "contradicts" in s]
+    assert len(against) == 1
+    assert str(tmp_path / "bent") in against[0]

@@ -88,6 +88,51 @@ def test_what_changed_is_named_dated_and_sized(planned):
     assert caught.value.exit_code is ExitCode.CHANGED
 
 
+MOVED = np.array([0.05, -0.03, 0.0, 0.0, 0.0, np.radians(0.02)])
+
+
+def judged(planned, days, looks):
+    """The verdict after some of the days, as nightly checks give it."""
+    history = history_of(planned, days)
+    for t in looks:
+        found = verdict_of(planned, replace(history, days=history.days[: t + 1]))
+        kept = tuple(replace(day, log_e=found.log_e) if k == t else day for k, day in enumerate(history.days))
+        history = replace(history, days=kept)
+        yield found, history
+
+
+def test_an_alarm_ends_once_what_changed_was_put_right(planned):
+    days, mount = noise(planned, 14, seed=3), change(planned, "mount", "scanner on the flange")
+    days[5:8] += mount.columns @ (MOVED / mount.usual)
+    said = list(judged(planned, days, (4, 5, 7, 8, 13)))
+    assert [found.changed for found, _ in said] == [False, True, True, False, False]
+    found, history = said[-1]
+    assert [(one.first, one.end, one.suspect.name) for one in found.put_right] == [(5, 8, "mount")]
+    done = InterimCheck(found, history, Path("check.json"), Path("run"))
+    assert "nothing changed in 11 checks" in done.sentence
+    assert "off from the check of 2026-03-06T08:00:00+00:00 to that of 2026-03-08" in done.sentence
+    assert "put right before the check of 2026-03-09" in done.sentence
+    assert done.to_dict()["put_right"][0]["until"] == "2026-03-09T08:00:00+00:00"
+
+
+@pytest.mark.parametrize("back", [0.0, 0.5], ids=["never", "half"])
+def test_an_alarm_stands_where_what_changed_was_not_put_right(planned, back):
+    days, mount = noise(planned, 14, seed=4), change(planned, "mount", "scanner on the flange")
+    days[5:] += mount.columns @ (MOVED / mount.usual)
+    days[8:] -= back * (mount.columns @ (MOVED / mount.usual))
+    said = [found for found, _ in judged(planned, days, (4, 5, 8, 13))]
+    assert [found.changed for found in said] == [False, True, True, True]
+    assert said[-1].suspects[0].name == "mount"
+
+
+def test_a_bad_day_does_not_hide_a_change_after_it(planned):
+    days, mount = noise(planned, 14, seed=5), change(planned, "mount", "scanner on the flange")
+    days[4] += change(planned, "mastering", "A4").columns[:, 0]
+    days[9:] += mount.columns @ (MOVED / mount.usual)
+    found, _ = list(judged(planned, days, (4, 8, 9, 13)))[-1]
+    assert (found.changed, found.since, found.suspects[0].name) == (True, 9, "mount")
+
+
 def test_days_count_in_the_order_in_which_they_were_measured_though_the_clock_was_set_back(planned):
     days = noise(planned, 6, seed=7)
     mount = change(planned, "mount", "scanner on the flange")

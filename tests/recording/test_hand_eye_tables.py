@@ -327,6 +327,33 @@ def test_a_length_that_the_poses_of_the_flange_contradict_is_said_with_what_it_w
     assert factor == pytest.approx(1 / 1.01, abs=2e-3)
 
 
+def test_a_pitch_is_doubted_where_all_views_are_from_one_distance(tmp_path):
+    """Then a scale is nearly a shift of the camera and of the target: only 5 mm of distance and 10 mm sideways tell them apart."""
+    rng = np.random.default_rng(11)
+    X, Z = se3.exp(np.r_[30.0, -10, 120, 0.2, -0.3, 0.1]), se3.exp(np.r_[650.0, 0, 100, 3.0, 0.1, 0.2])
+    turn = se3.rotation_exp(np.c_[rng.uniform(-0.4, 0.4, (24, 2)), rng.uniform(-0.7, 0.7, 24)])
+    middle = np.c_[rng.uniform(-10, 10, (24, 2)), rng.uniform(295, 305, 24)]
+    C = se3.transform(turn, middle - turn @ np.array([80.0, 60, 0]))
+    F = Z @ se3.inverse(C) @ se3.inverse(X)
+    F[:, :3, 3] += rng.normal(0, 0.02, (24, 3))
+    C[:, :3, 3] = 1.015 * (C[:, :3, 3] + rng.normal(0, 0.02, (24, 3)))
+    path = write(tmp_path / "a.csv", BOTH, F[:, :3, 3], rotations(F).as_quat(), C[:, :3, 3], rotations(C).as_quat())
+    found = mbcacq.calibrate(path, ALONE).to_dict()
+    said = " ".join(map(str, found["warnings"]))
+    assert float(said.split(" times ")[1].split(" ± ")[0]) == pytest.approx(1 / 1.015, abs=5e-3)
+    assert "the pitch or size of the target" in said
+    assert found["scale_from"].startswith("stated lengths of the target; by the poses of the flange they are 0.98")
+
+
+def test_degrees_under_a_heading_of_radians_are_refused(tmp_path):
+    F, C = poses(12)
+    headings = ",".join(["x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad", *BOTH.split(",")[7:]])
+    degrees = np.rad2deg(rotations(F).as_rotvec())
+    path = write(tmp_path / "a.csv", headings, F[:, :3, 3], degrees, C[:, :3, 3], rotations(C).as_quat())
+    with pytest.raises(ConfigError, match=r"rx_rad, ry_rad, rz_rad are said to be radians, and reach \d+; if they are degrees"):
+        read_loose_table(path)
+
+
 UR10E_ROWS = (
     (180.7, 0, 90),
     (0, -612.7, 0),

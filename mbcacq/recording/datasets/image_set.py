@@ -175,6 +175,10 @@ def _found(
             missing.append(BoardImage(name=file.name, reason="the board was not found"))
         else:
             seen[row] = BoardView(file.name, *found)
+    if len(seen) == len(files) < LEAST_POSES:
+        raise ConfigError(
+            f"{len(files)} images, and at least {LEAST_POSES} are needed; take 15 to 30 with the camera tilted and turned between them"
+        )
     if len(seen) < LEAST_POSES or size is None:
         raise ConfigError(
             f"{len(seen)} of {len(files)} images show the {board.kind} board of {board.columns} x {board.rows}, at least {LEAST_POSES} are "

@@ -53,6 +53,7 @@ OPENCV = "tvec"  # the thing of OpenCV's tvec and rvec without a word before the
 AGAIN = "again"  # at the thing of components that a header names twice
 METRES_BELOW, MILLIMETRES_ABOVE = 10.0, 50.0  # largest coordinate of a whole recording
 RADIANS_BELOW = 6.3  # largest angle of a whole recording; a calibration turns by more than 6 deg
+MOST_RADIANS = 12.6  # of an orientation: nobody writes more than two turns
 CLOSED = 1e-3  # by which the last row of a matrix may differ from 0 0 0 1
 _UNIT = re.compile(r"^(.*?)[\s_.]*[\[(<]?\s*(mm|cm|um|µm|μm|m|inch|in|degrees|degree|deg|°|radians|radian|rad)\s*[\])>]?$", re.IGNORECASE)
 _SPLIT = re.compile(r"[\s_.\-/:\[\]]+")
@@ -113,13 +114,19 @@ class PoseHeadings:
         return (*self.translation, self.closing[3])
 
     def with_units(self, table: Table) -> PoseHeadings:
-        """With units by the size of the numbers where headings do not say. Raises ConfigError if the numbers do not say either."""
+        """With units by the size of the numbers where headings do not say. Raises ConfigError if the numbers do not say either, and of
+        radians that no orientation reaches."""
         length, angle = self.length, self.angle
         if length is None:
             length = _length_by_size(table, self.translation)
+        largest = np.abs(table.numbers(self.rotation)).max(initial=0.0) if self._turns else 0.0
         if angle is None:
-            largest = np.abs(table.numbers(self.rotation)).max(initial=0.0) if self._turns else 0.0
             angle = 1.0 if largest < RADIANS_BELOW else DEGREE
+        if angle == 1.0 and largest > MOST_RADIANS:
+            raise ConfigError(
+                f"{table.at_headings}: {', '.join(self.rotation)} are said to be radians, and reach {largest:.0f}; if they are degrees, "
+                "name them so (_deg)"
+            )
         return replace(self, length=length, angle=angle)
 
     @property

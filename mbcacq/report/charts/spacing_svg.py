@@ -22,7 +22,7 @@ def spacing_picture(data: Spacing) -> str:
     rows = [row | {"before": abs(row["before"]), "after": abs(row["after"])} for row in _rows(data)]
     top = 1.06 * max(*(max(row["before"], row["after"] + row["U"]) for row in rows), data.limit or 0.0, 1e-9)
     colours = {"before": BEFORE, "after": AFTER, "limit_colour": LIMIT}
-    return filled(HERE / "spacing.svg.j2", rows=rows, top=top, ticks=_ticks(top), limit=data.limit, **colours)
+    return filled(HERE / "spacing.svg.j2", rows=rows, places=len(data.place), top=top, ticks=_ticks(top), limit=data.limit, **colours)
 
 
 def slider_pictures(data: Spacing) -> list[str]:
