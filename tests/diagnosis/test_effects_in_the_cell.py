@@ -266,7 +266,9 @@ def test_what_is_unmodelled_is_less_and_less_where_it_was_not_learnt(recording):
     model = EffectModel(recording.cell.robot, (group,), LearntRecording.of(learnt))
 
     far = replace(recording.select(near), pose_id=learnt.pose_id + 1000, q=learnt.q + np.array([0, 0, 0, np.pi, 0, 0]))
-    away = np.abs((far.q[:, 3, None] - learnt.q[:, 3] + np.pi) % (2 * np.pi) - np.pi).min(axis=1) - np.radians(5)  # rad, to the nearest pose
+    away = np.abs((far.q[:, 3, None] - learnt.q[:, 3] + np.pi) % (2 * np.pi) - np.pi).min(axis=1) - np.radians(
+        5
+    )  # rad, to the nearest pose
     share = np.exp(-0.5 * (away / np.radians(70)) ** 2)
     going_on = evaluated(Covariates(far), group.parts)[0].basis @ group.coefficients
 
