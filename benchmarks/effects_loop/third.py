@@ -161,21 +161,20 @@ catalogue, one outside of it (by another joint's angle or two, a slow eccentrici
 0.05 to 1 mrad. Asked: never more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in
 95 % of the cells.
 
-The rms of one cell has 3 to 90 degrees of freedom, so that fewer than 95 % of true statements lie within 0.8 to 1.2. Its own range holds
-95 % of true statements (chi square of Satterthwaite's degrees of freedom of the stated covariance). NEES is the square of error over
-uncertainty.
+The rms of one cell has 3 to 90 degrees of freedom: fewer than 95 % of true statements lie within 0.8 to 1.2; its own range holds 95 %
+(chi square). NEES is the square of error over uncertainty.
 
 **Beyond the third** an unmodelled function of one angle keeps exp(-(e / 70°)² / 2) of itself, e degrees beyond its range; what geometry
 and named effects make of the recording without it takes its place. Its covariance goes on, and the change counts as an uncertainty. Of a
 periodic error a period and more must be seen, else it is kept as such a function. Functions of a load go on; those of two angles are held.
 
-**Choices.** The 52 of these cells with functions of one angle that were tried with 10° in the place of 70° had 0.93 of the geometry's rms
-left in the median, and 3 were worse; with 70°, 0.71 and none.
+**Choice.** With 10° in the place of 70°, 52 cells with such functions leave 0.93 of the geometry's rms in the median, and 3 are worse; with
+70°, 0.71 and none.
 
-**What is worse.** In 67168 a balancer is named where there is none, and its law goes on. The same law leaves 0.04 to 0.49 in the eight
-cells in which it is true. In 67084 a ratio is named in the place of an eccentricity; 67027 and 67078 depend on two angles.
+**What is worse.** In 67168 a balancer is named where there is none, and its law goes on; in the eight cells in which it is true, 0.04 to 0.49
+is left. In 67084 a ratio stands for an eccentricity; the others depend on two angles.
 
-The diagnoses ran before the change of the law, the fits after it."""
+Diagnoses ran before the law was changed, fits after it."""
 
 
 def page(kept: list[dict[str, Any]]) -> str:
