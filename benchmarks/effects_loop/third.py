@@ -158,8 +158,7 @@ PAGE = """# Learnt over a third, tried over all
 A tracker measures a simulated arm in 120 postures, each joint within a third of its range. With what a diagnosis found, and as geometry
 alone, it is tried in 150 postures over all of the ranges, where base and tool alone are fitted. A cell conceals one effect of the
 catalogue, one outside of it (by another joint's angle or two, a slow eccentricity, a bump, a torque that stiffens), or one of each, of
-0.05 to 1 mrad. Asked: never more than 5 % worse than the learnt geometry, and an error over its stated uncertainty of 0.8 to 1.2 in
-95 % of the cells.
+0.05 to 1 mrad. Asked: never more than 5 % worse than the learnt geometry; error over uncertainty 0.8 to 1.2 in 95 %.
 
 The rms of one cell has 3 to 90 degrees of freedom: fewer than 95 % of true statements lie within 0.8 to 1.2; its own range holds 95 %
 (chi square). NEES is the square of error over uncertainty.
@@ -171,8 +170,8 @@ periodic error a period and more must be seen, else it is kept as such a functio
 **Choice.** With 10° in the place of 70°, 52 cells with such functions leave 0.93 of the geometry's rms in the median, and 3 are worse; with
 70°, 0.71 and none.
 
-**What is worse.** In 67168 a balancer is named where there is none, and its law goes on; in the eight cells in which it is true, 0.04 to 0.49
-is left. In 67084 a ratio stands for an eccentricity; the others depend on two angles.
+**What is worse.** In 67168 a balancer is named where there is none, and its law goes on; in the eight cells in which it is true, 0.04 to
+0.49 is left. In 67084 a ratio stands for an eccentricity; the others depend on two angles.
 
 Diagnoses ran before the law was changed, fits after it."""
 
