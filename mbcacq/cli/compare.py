@@ -60,7 +60,10 @@ def command(
         lines.append(f"Nothing held out: {names}: without some poses, {why}")
     alone = () if any(row.method == "maximum likelihood" and row.fit_mm is not None for row in rows) else ("--hand-eye-only",)
     document = {"format": "mbcacq-comparison/1", "data": str(data), "rows": rows.to_dict()["rows"]}
-    return Answer(document, lines, ("calibrate by maximum likelihood", command_line("calibrate", data, *alone, "--out", "result.json")))
+    then = ("calibrate by maximum likelihood", command_line("calibrate", data, *alone, "--out", "result.json"))
+    if (data / "result.json").exists():
+        then = ("see what its calibration by maximum likelihood says", command_line("report", data))
+    return Answer(document, lines, then)
 
 
 def _changes(first: Path, second: Path, report: Path | None) -> Answer:

@@ -14,7 +14,8 @@ from mbcacq.errors import ConfigError
 
 
 class PlanPath(click.Path):
-    """A path; ``kuka`` or ``plans/kuka.yaml`` becomes the plan that came with the tool if there is no such file."""
+    """A path; ``kuka`` or ``plans/kuka.yaml`` is the plan that came with the tool if there is no such file,
+    and ``kuka`` is the user's own ``kuka.yaml`` where that lies here."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -25,6 +26,10 @@ class PlanPath(click.Path):
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
         is_path = str(value).startswith((f".{os.sep}", "./", ".."))  # pathlib drops the dot
+        mine = path.with_suffix(".yaml")
+        if not is_path and len(path.parts) == 1 and not path.exists() and mine.is_file():
+            echo(f"{path} is {mine}, which lies here", err=True)
+            return mine
         found = path if is_path else shipped.plan_file(path)
         if found != path:
             echo(f"there is no {path} here: this is the plan that came with mbcacq; mbcacq plan copy {found.stem} puts it here", err=True)

@@ -31,6 +31,7 @@ def command(
     exit code 6 if there is one.
     """
     from mbcacq.recording.run_folder.recovery import recover
+    from mbcacq.recording.run_folder.register import RunKind, kind_of
 
     end_in_order_on_signals("the recovery")
     if check:
@@ -41,6 +42,8 @@ def command(
     then = "calibrate with what is there", command_line("calibrate", recording if recording.is_dir() else found[-1].output)
     if recording.is_dir() and not all(item.complete for item in found):
         then = "go on where the run ended", command_line("run", "--resume", recording)
+    elif recording.is_dir() and kind_of(recording) is RunKind.CHECK:
+        then = "read what the check said", command_line("report", recording)
     return Answer({"format": "mbcacq-recovery/1", "recordings": recordings}, map(line_of, found), then)
 
 

@@ -131,7 +131,7 @@ def _fitted(
 
     middle, normal = sums(points, cell, m) / total[:, None], sums(normals, cell, m)
     length = np.linalg.norm(normal, axis=1)
-    normal /= length[:, None]
+    normal = normal / length[:, None]
     u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
     u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(normal, u)

@@ -28,6 +28,7 @@ from mbcacq.workflow.load import as_cell
 from mbcacq.workflow.part_scenes import scans_at, stations_of_parts, thinned_scans
 
 VOXELS_PER_SPACING = 1.0
+SAME_POSE = 1e-3  # rad: joint angles that differ by less are one view
 EXAGGERATED = 30.0  # how far scans are off in the viewer: a millimetre of a part is seen, a hundredth is not
 
 
@@ -128,6 +129,8 @@ def merge_scans(
     scans = scans_at(source, observations, station)
     progress("comparing the scans where they overlap")
     seen, apart = thinned_scans(source, observations, station)
+    if len(seen) > 1 and np.ptp([scan.q for scan in seen], axis=0).max() < SAME_POSE:
+        raise ConfigError("all scans were taken at the same joint angles, which shows nothing of the cell; scan the part from all sides")
     ways = placements(cell)
     compared = agreement(seen, ways, o)
     voxel = voxel_mm or VOXELS_PER_SPACING * apart

@@ -20,6 +20,7 @@ from mbcacq.parts.placement import CellPlacement
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.parts.scene import register
 from mbcacq.quantities import micrometres
+from mbcacq.spheres.cloud_file import SMALLEST_MM
 from mbcacq.spheres.cloud_files import SUFFIXES, read_points
 
 
@@ -132,5 +133,10 @@ def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartSca
     for number, q in of_pose.items():
         for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
             if path.is_file():
-                yield PartScan(number, q, read_points(path))
+                points = read_points(path)
+                if (largest := float(np.abs(points).max())) < SMALLEST_MM:
+                    raise ConfigError(
+                        f"{path}: all coordinates are within {largest:.3g} mm, which looks like metres; convert the clouds to mm"
+                    )
+                yield PartScan(number, q, points)
                 break

@@ -121,29 +121,36 @@ def test_stop_halts_and_ends_the_wait():
 
 
 @needs_terminal
-def test_the_wrong_device_silence_and_absence_are_different_errors(monkeypatch):
+def test_the_wrong_device_silence_and_absence_are_different_errors(scripted):
     with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
         with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
             driver(line).connect()
     with pytest.raises(ConnectError, match="cannot be opened"):
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
     with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
-        scripted(monkeypatch, lambda heard: None)
+        scripted(lambda heard: None)
 
 
-def scripted(monkeypatch, answer, **changes):
-    """A positioner on a line of the test, whose answers come at once unless they are (s, bytes)."""
+@pytest.fixture
+def scripted(monkeypatch):
+    """Makes a positioner on a line of the test, whose answers come at once unless they are (s, bytes)."""
+    opened = []
 
-    def reply(heard):
-        said = answer(heard)
-        return said if said is None or isinstance(said, tuple) else (0.01, said)
+    def make(answer, **changes):
+        def reply(heard):
+            said = answer(heard)
+            return said if said is None or isinstance(said, tuple) else (0.01, said)
 
-    line = ScriptedLine(reply)
-    line.install(monkeypatch)
-    positioner = SerialPositioner("p", "lift", {"port": "COM3", **WORDS, **changes})
-    positioner._stopped = positioner._link._stopped = line.stopped()
-    positioner.connect()
-    return line, positioner
+        line = ScriptedLine(reply)
+        line.install(monkeypatch)
+        opened.append(SerialPositioner("p", "lift", {"port": "COM3", **WORDS, **changes}))
+        opened[-1]._stopped = opened[-1]._link._stopped = line.stopped()
+        opened[-1].connect()
+        return line, opened[-1]
+
+    yield make
+    for positioner in opened:
+        positioner.close()  # on a clock that is not moved its polling would never wait
 
 
 @pytest.mark.parametrize(
@@ -156,8 +163,8 @@ def scripted(monkeypatch, answer, **changes):
         (None, DeviceTimeout, "answered nothing"),
     ],
 )
-def test_noise_on_the_line_is_an_error_and_never_a_position(monkeypatch, said, error, words):
-    line, positioner = scripted(monkeypatch, lambda heard: b"LIFT 3000\r\n" if heard == "*IDN?" else said, fault=None, timeout_s=2.0)
+def test_noise_on_the_line_is_an_error_and_never_a_position(scripted, said, error, words):
+    line, positioner = scripted(lambda heard: b"LIFT 3000\r\n" if heard == "*IDN?" else said, fault=None, timeout_s=2.0)
     with pytest.raises(error, match=words):
         positioner.go_to("2", "")
     assert line.heard[-1] == "MA 15250"
@@ -170,11 +177,10 @@ def test_a_line_that_is_cut_is_lost():
             positioner.go_to("2", "")
 
 
-def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one(monkeypatch):
+def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one(scripted):
     places = iter([(1.5, b"P=15250\r\n")])
     said = {"*IDN?": b"LIFT 3000\r\n", "?S": b"S=READY\r\n"}
     _, positioner = scripted(
-        monkeypatch,
         lambda heard: next(places, b"P=0\r\n") if heard == "?P" else said.get(heard, b"OK\r\n"),
         fault=None,
         timeout_s=1.0,

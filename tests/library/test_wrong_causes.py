@@ -190,3 +190,12 @@ def test_the_next_step_of_a_simulated_result_is_not_refused(tmp_path):
     for simulated, option in ((True, " --simulated-anyway"), (False, "")):
         assert export_command({"simulated": simulated}, tmp_path) == f"mbcacq export {tmp_path} --results results{option}"
         assert parses(export_command({"simulated": simulated}, tmp_path))
+
+
+def test_a_plan_that_lies_here_is_meant_before_the_one_of_the_same_name_that_came_with_the_tool(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "kuka.yaml").write_text("format: mbcacq-plan/1\nname: mine\n", encoding="utf-8")
+    done = CliRunner().invoke(app, ["plan", "check", "kuka"])
+    assert done.exit_code == 2
+    assert "kuka is kuka.yaml, which lies here" in done.stderr
+    assert "robot" in done.stderr  # of which this one has none

@@ -26,9 +26,11 @@ from mbcacq.parts.placement import CommonMotion, placements
 from mbcacq.parts.scans import PartScan, surface_of, thinned
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
+from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
+from mbcacq.spheres import read_cloud
 from mbcacq.spheres.cloud_file import read_cloud_file
 from mbcacq.workflow.export import export
 from mbcacq.workflow.merge_scans import merge_scans
@@ -220,12 +222,54 @@ def test_a_mesh_without_a_surface_is_refused(tmp_path, corners):
         read_mesh(path)
 
 
-def test_a_folder_of_scans_of_a_part_alone_is_merged(run, tmp_path):
-    folder, observations, cell = run
-    export(folder, observations=tmp_path / "set", scans=True)
-    seen = load_observations(tmp_path / "set")
-    write_observation_set(seen.select(seen.phase == "part"), tmp_path / "set")
-    assert merge_scans(tmp_path / "set", tmp_path / "a.ply", result=cell).merged.scans == 8
+@pytest.fixture(scope="module")
+def part_alone(run, tmp_path_factory):
+    """Observation set of the scans of the part, without balls."""
+    folder = tmp_path_factory.mktemp("alone") / "set"
+    export(run[0], observations=folder, scans=True)
+    seen = load_observations(folder)
+    write_observation_set(seen.select(seen.phase == "part"), folder)
+    return folder
+
+
+def test_a_folder_of_scans_of_a_part_alone_is_merged(run, part_alone, tmp_path):
+    assert merge_scans(part_alone, tmp_path / "a.ply", result=run[2]).merged.scans == 8
+
+
+def _one_alone(part, clouds):
+    return part.select(np.arange(len(part.q)) == 0), clouds
+
+
+def _each_elsewhere(part, clouds):
+    return replace(part, q=part.q + np.outer(np.arange(len(part.q)), [0.4, 0, 0, 0, 0, 0])), clouds
+
+
+def _one_view(part, clouds):
+    return replace(part, q=np.tile(part.q[0], (len(part.q), 1))), {k: clouds[int(part.pose_id[0])] for k in clouds}
+
+
+def _in_metres(part, clouds):
+    return part, {k: points / 1000 for k, points in clouds.items()}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (_one_alone, "no two scans of this part overlap"),
+        (_each_elsewhere, "no two scans of this part overlap"),
+        (_one_view, "all scans were taken at the same joint angles"),
+        (_in_metres, "looks like metres; convert the clouds to mm"),
+    ],
+)
+def test_scans_that_say_nothing_of_the_cell_are_refused_in_a_sentence(run, part_alone, tmp_path, wrong, says):
+    part = load_observations(part_alone)
+    part, clouds = wrong(part, {int(k): read_cloud(part_alone / "scans" / f"{k}.ply") for k in part.pose_id})
+    write_observation_set(part, tmp_path / "wrong")
+    (tmp_path / "wrong" / "scans").mkdir()
+    for number, points in clouds.items():
+        write_ply(tmp_path / "wrong" / "scans" / f"{number}.ply", points.astype(np.float32))
+    with pytest.raises(ConfigError, match=says):
+        merge_scans(tmp_path / "wrong", tmp_path / "a.ply", result=run[2])
 
 
 def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):
