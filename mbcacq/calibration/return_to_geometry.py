@@ -29,14 +29,15 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     named: the effects of the latter.
     """
     model = cell.effects
-    ending = [t for t in model.terms if t.name == UNKNOWN and len(t.covariates) == 1 and is_angle(*t.covariates)] if model else []
+    unmodelled = [t for t in model.terms if t.name == UNKNOWN and not t.clamped] if model else []  # what is held ends as a constant
+    ending = [t for t in unmodelled if len(t.covariates) == 1 and is_angle(*t.covariates)]
     if model is None or not ending:
         return cell
     changes = list(_changes(cell, without, named, ending))
     parts = [DescribedPart(*place, (tuple(p for at, p in changes if at == place),)) for place in dict.fromkeys(at for at, _ in changes)]
     where = tuple(dict.fromkeys(at for t in ending for at in t.where))
     angles = "*".join(sorted({name for t in ending for name in t.covariates}))
-    held = tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped}))
+    held = tuple(sorted({name for t in named.terms for name in t.clamped} - {name for t in ending for name in t.covariates}))
     here = Covariates(cell.fit.observations)
     change = EffectTerm.of_group(here, where, angles, parts, np.ones(1), ("",), BEYOND, clamped=held)
     return replace(cell, effects=replace(model, terms=(*model.terms, replace(change, coefficients=np.ones(1)))))
