@@ -239,6 +239,8 @@ def _after_diagnosis(verdict: ReportVerdict, found: Diagnosis, name: str, plan: 
     """None if the diagnosis found nothing and advises nothing."""
     if found.verdict in ("explained", "partly_explained", "unexplained"):
         return _after_finding(verdict, found, name, plan)
+    if found.rejected_balls:
+        return Action("Look at a ball", found.rejected_balls[0].reason, command_line("diagnose", name))
     if found.advice:
         return Action("Measure what is missing", found.advice[0].reason, measure_next(name, plan))
     return None
