@@ -18,6 +18,7 @@ from outside.physics import KINDS, run
 from statements import contradictions
 
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.findings import LOOK_AT
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_term import UNKNOWN
 
@@ -41,6 +42,7 @@ def judged(kind: str, there: tuple[str, ...], found: Diagnosis) -> dict[str, Any
     named = frozenset(e.name for e in found.effects if e.name != UNKNOWN)
     first = found.mismatch[0] if found.mismatch else None
     at = () if first is None else (first.at, *first.equivalent)
+    at += tuple(f"ball{one.reason.removeprefix(LOOK_AT).split()[0]}" for one in found.rejected_balls)
     return {
         "verdict": found.verdict,
         "said": [f"{e.name}:{'+'.join(e.where)} by {e.depends_on}" for e in found.effects],

@@ -46,6 +46,8 @@ from mbcacq.parts.options import PartOptions
 from mbcacq.parts.scene import RegisteredScene
 from mbcacq.parts.step import SmoothNoise, rigid_step, smooth_noise
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
+from mbcacq.plan.field_of_view import T_base_scanner, aim_depth
+from mbcacq.plan.schema import View
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.datasets.scan_folder import write_ply
@@ -199,17 +201,37 @@ def check(args: argparse.Namespace) -> None:
 
 
 def views(args: argparse.Namespace) -> None:
-    """Views that cover the part of plans/part.yaml, beside the best of so many random starts of the same search."""
+    """Views that cover the part of plans/part.yaml, beside the best of so many random starts of the same search and a grid of views."""
     loaded, o = load(PLANS / "part.yaml"), DESIGN
     for seed in range(args.cells):
         found = part_coverage.part_views(loaded, "part", None, 40.0, seed, o)
-        ours, rng = len(part_coverage.fewest_views(found.shown, o)), np.random.default_rng(seed)
-        starts = []
-        for _ in range(args.starts):
-            kept = rng.permutation(len(found.shown))[: len(found.shown) * 2 // 3]
-            lost = found.shown[kept].any(axis=0).sum() / found.shown.any(axis=0).sum()
-            starts.append(len(part_coverage.fewest_views(found.shown[kept], replace(o, coverage=o.coverage / lost))))
-        print(f"seed {seed}: {ours} views; best of {args.starts} starts {min(starts)}, median {np.median(starts):.0f}", flush=True)
+        chosen, rng, starts, drawn = part_coverage.fewest_views(found.shown, o), np.random.default_rng(seed), [], 0
+        any_view = found.shown.any(axis=0)
+        while len(starts) < args.starts and drawn < 50 * args.starts:
+            drawn, kept = drawn + 1, rng.permutation(len(found.shown))[: len(found.shown) * 2 // 3]
+            left = found.shown[kept].any(axis=0).sum() / any_view.sum()
+            if left >= o.coverage:  # else these views together do not show enough
+                starts.append(len(part_coverage.fewest_views(found.shown[kept], replace(o, coverage=o.coverage / left))))
+        covered = found.shown[chosen].any(axis=0).sum() / any_view.sum()
+        print(
+            f"seed {seed}: {len(chosen)} views show {covered:.3f} of what can be seen ({any_view.mean():.3f} of the surface); best of "
+            f"{len(starts)} starts {min(starts)}, median {np.median(starts):.0f}; a grid of 9 shows {_grid(loaded, found, seed):.3f}",
+            flush=True,
+        )
+
+
+def _grid(loaded: LoadedPlan, found: part_coverage.PartViews, seed: int) -> float:
+    """Share of what can be seen that 3 x 3 views from straight above show, evenly over the part."""
+    mesh, place = loaded.cell.artefact(loaded.cell.station("part").artefact).mesh, loaded.cell.station("part").planned_pose
+    assert mesh is not None
+    points, normals = part_coverage._samples(mesh, DESIGN.surface_points, np.random.default_rng(seed))
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    at = [low + (high - low) * [(i + 0.5) / 3, (j + 0.5) / 3, 0.5] for i in range(3) for j in range(3)]
+    depth, straight = aim_depth(loaded.plan.scanner.field_of_view), View(tilt_deg=0, azimuth_deg=0)
+    T = np.stack([T_base_scanner(place, point, straight, depth) for point in at])
+    shown = part_coverage._shown(loaded, mesh, points, normals, se3.inverse(T) @ place, DESIGN).any(axis=0)
+    any_view = found.shown.any(axis=0)
+    return (shown & any_view).sum() / any_view.sum()
 
 
 def whole(args: argparse.Namespace) -> None:

@@ -44,6 +44,9 @@ class NotSeparable:
     odds: float | None = None
 
 
+LOOK_AT = "look at ball "  # with which advice on a ball begins
+
+
 @dataclass(frozen=True)
 class Advice:
     """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
@@ -172,6 +175,11 @@ class Findings:
         Raises ConfigError if the object has another format or lacks a key.
         """
         return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
+
+    @property
+    def rejected_balls(self) -> tuple[Advice, ...]:
+        """The advice on balls of which most centres were rejected."""
+        return tuple(one for one in self.advice if one.reason.startswith(LOOK_AT))
 
     @property
     def out_of_time(self) -> bool:

@@ -65,8 +65,8 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
     mismatch = mismatch_table(full, contributions, before)
     effects, mismatch = with_classes(reported, mismatch, classes(full.geometry_only.linear.obs, not_separable))
     once = not_found_again(effects) if verdict == "explained" else []
-    left_out = verdict in ("none", "explained") and rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep)
-    if once or left_out or (effects and all(e.trend for e in effects)):
+    left_out = rejected_balls(full.geometry_only.linear.obs, full.geometry_only.linear.keep)
+    if once or (left_out and verdict in ("none", "explained")) or (effects and all(e.trend for e in effects)):
         verdict = "cannot_tell"  # a name that parts do not give again, trends alone, or less than what was measured explain nothing
     said = [*not_carried_over(verdict, validation, effects), *sum_of_shares(mismatch, before, after), *notes(setup, full)]
     said += [*of_effects(setup, full, found), *([] if too_little is None else [too_little]), *undecided_evidence(full)]
@@ -77,7 +77,7 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidatio
         fit=FitSummary(FitFigures(*_figures(before, after)), held_out_figures(validation), expected_rms(full, after.rms)),
         geometry_alone=setup.geometry_alone,
         not_separable=not_separable,
-        advice=tuple(advice),
+        advice=(*left_out, *advice),
         dropped=setup.dropped,
         notes=(*said, *once, *evidence.untried),
         exclusion_limits=exclusion_limits(full, setup.possible, there),

@@ -19,7 +19,7 @@ LOADS = ("gravity_torque_", "gravity_moment_", "payload_force_", "payload_torque
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = 5.0 * DEGREE  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
-FADES_OVER = 10.0 * DEGREE  # beyond the visited angles: two such steps on nothing is left of what was learnt
+FADES_OVER = 70.0 * DEGREE  # beyond the visited angles: what errors of bearings and gears have in common over so wide an angle (third.md)
 FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.planned_check import PlannedCheck
@@ -26,7 +26,7 @@ def differences(planned: PlannedCheck, history: CheckHistory, verdict: CheckVerd
     covariance = 2 * (verdict.noise**2 * rows.noise + verdict.day**2 * rows.daily @ rows.daily.T)
     mean, square = float(np.trace(covariance)), float(np.sum(covariance**2))
     freedom = mean**2 / square
-    limit = np.sqrt(mean * chi2.ppf(WITHIN, freedom) / freedom / centres)
+    limit = np.sqrt(mean * chdtri(freedom, 1 - WITHIN) / freedom / centres)
     return [float(np.sqrt(np.sum((day - evidence.days[0]) ** 2) / centres)) for day in evidence.days], float(limit)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.result_io import export_command, of_flange_poses
@@ -117,7 +117,7 @@ def beyond_expected_sentence(spacing: Spacing | None) -> str:
         for i in at[:5]
     )
     more = f" and {len(at) - 5} more" if len(at) > 5 else ""
-    as_many = float(binom.sf(len(at) - 1, len(spacing.place), BEYOND_K))
+    as_many = float(bdtrc(len(at) - 1, len(spacing.place), BEYOND_K))
     lacking = "The model lacks something, or the noise is larger than it was taken to be"
     why = f"Chance alone leaves as many in about {as_many:.0%} of calibrations" if as_many > RARE else lacking
     return (
@@ -239,6 +239,8 @@ def _after_diagnosis(verdict: ReportVerdict, found: Diagnosis, name: str, plan: 
     """None if the diagnosis found nothing and advises nothing."""
     if found.verdict in ("explained", "partly_explained", "unexplained"):
         return _after_finding(verdict, found, name, plan)
+    if found.rejected_balls:
+        return Action("Look at a ball", found.rejected_balls[0].reason, command_line("diagnose", name))
     if found.advice:
         return Action("Measure what is missing", found.advice[0].reason, measure_next(name, plan))
     return None

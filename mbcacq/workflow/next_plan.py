@@ -131,7 +131,7 @@ def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
     except MbcacqError:
         return found  # a run of which the plan is not known any more, or whose cell is another one
     advice = chosen.advice or tuple(Advice(reason, ()) for reason in chosen.reasons)
-    return replace(found, poses=replace(found.poses, advice=advice))
+    return replace(found, poses=replace(found.poses, advice=(*found.poses.rejected_balls, *advice)))
 
 
 def plan_of_recording(folder: Path) -> LoadedPlan:

@@ -136,7 +136,7 @@ def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
 
 
 def test_two_scales_that_one_artefact_cannot_separate_are_reported():
-    observed = simulated.observe(simulated.plan(bars=0), 136, [("scanner_scale", ("scanner",), [540.0], None)])
+    observed = simulated.observe(simulated.plan(bars=0), 136, [("scanner_scale", ("scanner",), [300.0], None)])
 
     reported = diagnose.diagnose(observed, folds=2)
 

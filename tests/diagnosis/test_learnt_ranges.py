@@ -14,7 +14,7 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import LearntRecording
+from mbcacq.effects.effect_term import BEYOND, LearntRecording
 from mbcacq.effects.learnt_range import LearntRange
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.options import CalibrationOptions
@@ -71,19 +71,22 @@ def beyond_the_edge(here, joint):
     return q
 
 
-def test_beyond_the_angles_where_a_function_was_learnt_the_cell_is_the_one_without_it(third, learnt):
+def test_beyond_the_angles_where_a_function_was_learnt_the_cell_returns_to_the_one_without_it(third, learnt):
     (here, _), (cell, _) = third, learnt
     without = calibrate(here, CalibrationOptions(refuse=False, discrepancy=False))
-    far = here.q.copy()
-    far[:, 0] = here.q[:, 0].max() + 0.8
+    going_on = replace(cell, effects=cell.effects.select(lambda t: t.variant != BEYOND))
 
-    def apart(q):
-        """mm between both cells' targets in the instrument."""
-        a, b = (np.linalg.inv(one.state.T_base_station[0]) @ one.frames(q)[:, -1] @ one.state.T_flange_scanner for one in (cell, without))
-        return np.abs(a - b)[:, :3, 3].max()
+    def apart(one, beyond):
+        """(P, 3) mm from the target in the instrument of the cell without the function, at q1 beyond the visited angles."""
+        q = here.q.copy()
+        q[:, 0] = here.q[:, 0].max() + beyond if beyond else q[:, 0]
+        at = [np.linalg.inv(c.state.T_base_station[0]) @ c.frames(q)[:, -1] @ c.state.T_flange_scanner for c in (one, without)]
+        return (at[0] - at[1])[:, :3, 3]
 
-    assert apart(here.q) > 0.1
-    assert apart(far) < 0.01
+    assert np.abs(apart(cell, 0.0)).max() > 0.1
+    for beyond in (0.8, 2.0):
+        share = np.exp(-0.5 * ((beyond - 5 * DEG) / (70 * DEG)) ** 2)
+        np.testing.assert_allclose(apart(cell, beyond), share * apart(going_on, beyond), atol=0.01 * np.abs(apart(going_on, beyond)).max())
 
 
 def test_an_unmodelled_function_is_ten_times_less_known_beyond_where_it_was_learnt(third, learnt):

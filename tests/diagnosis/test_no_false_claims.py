@@ -14,6 +14,7 @@ from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.nonparametric.joint_model import RandomEffect
 from mbcacq.diagnosis.output.notes import not_carried_over, rejected_balls, rejected_poses, single_place
+from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -224,4 +225,5 @@ def test_a_ball_of_which_every_centre_is_rejected_is_named_and_not_called_no_eff
     loose = (obs.ball == 3)[:, None] * moved[obs.station[obs.pose]]
     found = diagnose(replace(obs, xyz=obs.xyz + loose), workers=1)
     assert found.verdict != "none"
-    assert any(note.startswith("48 of 48 centres of ball 4 were rejected") for note in found.notes)
+    assert "48 of its 48 centres were rejected" in found.advice[0].reason
+    assert "What and where: not known; look at ball 4\n" in words(found)

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.between_sets import better_in_general
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import MOST_LOG_ODDS, coupled_instead, reported_hypothesis
+from mbcacq.diagnosis.findings import LOOK_AT, Advice
 from mbcacq.diagnosis.model_fit import ModelFit, joint_noise_factor
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
@@ -53,7 +54,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
         rejected = "is a gross outlier and was rejected" if dropped == 1 else "are gross outliers and were rejected"
         out.append(f"{dropped} of {len(keep)} measured centres {rejected}")
         obs = full.geometry_only.linear.obs
-        out += [*rejected_poses(obs, keep), *rejected_balls(obs, keep)]
+        out += rejected_poses(obs, keep)
     out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
@@ -79,12 +80,15 @@ def rejected_poses(obs: Observations, keep: np.ndarray) -> list[str]:
     ]
 
 
-def rejected_balls(obs: Observations, keep: np.ndarray) -> list[str]:
-    """A sentence for each ball of which most centres were rejected: no noise does so. keep: as of ``rejected_poses``."""
+def rejected_balls(obs: Observations, keep: np.ndarray) -> list[Advice]:
+    """What to do about each ball of which most centres were rejected: no noise does so. keep: as of ``rejected_poses``."""
     count, kept = (np.bincount(obs.ball[chosen], minlength=len(obs.cell.ball_ids)) for chosen in (slice(None), keep))
     return [
-        f"{count[k] - kept[k]} of {count[k]} centres of ball {obs.cell.ball_ids[k]} were rejected: it may be loose or damaged, and this "
-        "diagnosis says nothing of it; look at the ball and its seat"
+        Advice(
+            f"{LOOK_AT}{obs.cell.ball_ids[k]} and its seat, it may be loose or damaged: {count[k] - kept[k]} of its {count[k]} centres "
+            "were rejected, and this diagnosis says nothing of them",
+            (),
+        )
         for k in np.flatnonzero((count > 1) & (2 * kept < count))
     ]
 

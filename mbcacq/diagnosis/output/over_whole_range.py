@@ -6,6 +6,8 @@ mean returns to what geometry has there, and its covariance to what such a funct
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
@@ -16,6 +18,7 @@ from mbcacq.effects.effect_term import SMOOTH, EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, cosine, sine
 from mbcacq.effects.learnt_range import is_angle
 from mbcacq.effects.unmodelled import OPTIONS
+from mbcacq.model.observations import Observations
 
 LENGTHS = (0.4, 0.8, 1.6)  # rad, or of the largest moment: from a local bump to a quarter of a turn
 TURN = 0.8  # rad, of the process that is the same a turn further on
@@ -55,6 +58,16 @@ def over_whole_range(here: Covariates, t: EffectTerm) -> list[EffectTerm]:
         part, units = DescribedPart("joint", first.index, 0, columns), ("rad",) * len(columns)
         out.append(EffectTerm.of_group(here, t.where, t.depends_on, [part], sigma, units, variant=SMOOTH, hyper={hyper: length}))
     return out
+
+
+def with_unfinished_periods_as_functions(obs: Observations, kept: EffectModel) -> EffectModel:
+    """The model with a function of the joint's angle in the place of each periodic error of which less than a period was seen: nothing
+    says that it repeats beyond."""
+    here, terms = Covariates(obs), dict[str, EffectTerm]()
+    for t in kept.terms:
+        unfinished = t.periodic_in_own_angle and t.depends_on in t.clamped
+        terms |= {one.key: one for one in (over_whole_range(here, t) if unfinished else [t])}
+    return replace(kept, terms=tuple(terms.values()))
 
 
 def reached(here: Covariates, name: str) -> tuple[float, float]:

@@ -42,6 +42,7 @@ VERDICTS = {
 NOT_TOLD_APART = "Cannot tell: these {data} do not separate the possible causes of the mismatch."
 LATE = "Cannot tell: time ran out before all explanations were compared."
 OPEN = "Cannot tell: these {data} leave open whether there is an effect."
+LOOSE = "Cannot tell: what one ball does is rejected, and no effect is shown beside it."
 NO_FIGURE = "Cannot tell: not all of what would explain the mismatch has a reliable figure in these {data}."
 TREND_ALONE = "A trend alone: the evidence shows an effect, and it is too weak for a figure."
 MOST_NAMED = 4  # effects in the first lines
@@ -79,7 +80,7 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
     elif d.verdict == "cannot_tell" and d.not_separable:
         sentence = NOT_TOLD_APART
     elif d.verdict == "cannot_tell" and not d.effects:
-        sentence = OPEN
+        sentence = LOOSE if d.rejected_balls else OPEN
     elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
         sentence = TREND_ALONE
     elif d.verdict == "cannot_tell" and any(e.trend for e in d.effects):
@@ -156,6 +157,8 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     held = d.fit.held_out
     findings, trends = findings_and_trends(d.effects)
     what = _named(findings) or ("no effect with a reliable figure" if trends else "no effect")
+    if d.rejected_balls:
+        what = f"{_named(findings) or 'not known'}; {' and '.join(one.reason.partition(' and ')[0] for one in d.rejected_balls)}"
     if d.verdict == "unexplained":
         what += f". {STANDS_IN}"
     # By chi2, as the share of each effect: squares of millimetres also count how uncertain the fit is.

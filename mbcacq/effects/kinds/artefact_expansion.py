@@ -8,9 +8,9 @@ from mbcacq.effects.effect import Candidate, Missing, Support, plain_effect
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
-# Aluminium, of which the softest artefacts are, grows by 24 ppm a kelvin, and rooms are within 40 K of 20 degrees; a certificate that is
-# off by a scale is off by as much again.
-LARGEST = Support(2e3, "no artefact is off by more than 0.2 % by its temperature")  # ppm
+# Aluminium, which grows most of what artefacts are made of, 24 ppm a kelvin (steel: 12); lengths are certified for 20 degrees (ISO 1), and
+# machines work from 5 to 40 degrees (IEC 60204-1): 20 K at most.
+LARGEST = Support(24 * 20, "no artefact is off by more than 480 ppm by its temperature, aluminium at 40 °C")  # ppm
 DECLARED = Declaration(challenge=Challenge(number=15))
 
 
