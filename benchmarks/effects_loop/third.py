@@ -163,15 +163,15 @@ catalogue, one outside of it (by another joint's angle or two, a slow eccentrici
 The rms of one cell has 3 to 90 degrees of freedom: fewer than 95 % of true statements lie within 0.8 to 1.2; its own range holds 95 %
 (chi square). NEES is the square of error over uncertainty.
 
-**Beyond the third** an unmodelled function of one angle keeps exp(-(e / 70°)² / 2) of itself, e degrees beyond its range; what geometry
+**Beyond the third** an unmodelled function of angles keeps exp(-(e / 70°)² / 2) of itself, e degrees beyond its range; what geometry
 and named effects make of the recording without it takes its place. Its covariance goes on, and the change counts as an uncertainty. Of a
-periodic error a period and more must be seen, else it is kept as such a function. Functions of a load go on; those of two angles are held.
+periodic error a period and more must be seen, else it is kept as such a function. Functions of a load go on.
 
-**Choice.** With 10° in the place of 70°, 52 cells with such functions leave 0.93 of the geometry's rms in the median, and 3 are worse; with
-70°, 0.71 and none.
+**Choices.** With 10° in the place of 70°, 52 cells with functions of one angle leave 0.93 of the geometry's rms in the median, and 3 are
+worse; with 70°, 0.71 and none. Functions of two angles that are held leave 0.76, and 2 of 21 are worse; those that return, 0.79 and none.
 
-**What is worse.** In 67168 a balancer is named where there is none, and its law goes on; in the eight cells in which it is true, 0.04 to
-0.49 is left. In 67084 a ratio stands for an eccentricity; the others depend on two angles.
+**What is worse.** In 67168 a balancer is named where there is none, and its law goes on; in eight cells with a balancer 0.04 to 0.49 is
+left. In 67084 a ratio stands for an eccentricity.
 
 Diagnoses ran before the law was changed, fits after it."""
 

@@ -1,4 +1,4 @@
-"""Beyond where an unmodelled function of an angle was learnt, a cell is what the recording gives without the function.
+"""Beyond where an unmodelled function of angles was learnt, a cell is what the recording gives without the function.
 
 Function and geometry share what a recording shows: an arm that was fitted beside a function is wrong without it. So such functions are kept
 with a term that grows beyond their ranges: the change to the cell that was fitted without them (benchmarks/third.md). The functions' own
@@ -24,20 +24,20 @@ Place = tuple[str, int, int]
 
 
 def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: EffectModel) -> CalibratedCell:
-    """The same cell where its unmodelled functions of one angle were learnt; beyond, the one without them.
+    """The same cell where its unmodelled functions of angles were learnt; beyond, the one without them.
 
     named: the effects of the latter.
     """
     model = cell.effects
-    unmodelled = [t for t in model.terms if t.name == UNKNOWN and not t.clamped] if model else []  # what is held ends as a constant
-    ending = [t for t in unmodelled if len(t.covariates) == 1 and is_angle(*t.covariates)]
+    ending = [t for t in model.terms if t.name == UNKNOWN and all(map(is_angle, t.covariates))] if model else []
     if model is None or not ending:
         return cell
     changes = list(_changes(cell, without, named, ending))
     parts = [DescribedPart(*place, (tuple(p for at, p in changes if at == place),)) for place in dict.fromkeys(at for at, _ in changes)]
     where = tuple(dict.fromkeys(at for t in ending for at in t.where))
     angles = "*".join(sorted({name for t in ending for name in t.covariates}))
-    held = tuple(sorted({name for t in named.terms for name in t.clamped} - {name for t in ending for name in t.covariates}))
+    going_on = {name for t in ending for name in t.covariates - set(t.clamped)}
+    held = tuple(sorted({name for t in (*named.terms, *ending) for name in t.clamped} - going_on))
     here = Covariates(cell.fit.observations)
     change = EffectTerm.of_group(here, where, angles, parts, np.ones(1), ("",), BEYOND, clamped=held)
     return replace(cell, effects=replace(model, terms=(*model.terms, replace(change, coefficients=np.ones(1)))))
