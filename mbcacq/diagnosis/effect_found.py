@@ -238,10 +238,18 @@ class EffectFound(EveryKey):
         """An unmodelled effect of a motion is never a trend: it was held against noise by itself."""
         if self.shape is None:
             sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-            reason = trend(sizes, self.gain_here, self.held_out_gain_std)
-            if not reason and self.found_again and not any(one.repeats for one in self.found_again):
+            seldom = self.found_again and not any(one.repeats for one in self.found_again)
+            # A model that has not found it predicts as well without it: that says nothing of what it removes.
+            reason = trend(sizes, None if seldom else self.gain_here, self.held_out_gain_std)
+            if not reason and seldom:
                 reason = NOT_FOUND_AGAIN if self.found_again[0].disjoint else SELDOM_FOUND
             object.__setattr__(self, "trend", reason)
+
+    @property
+    def removes(self) -> bool:
+        """Whether there is a share of the held-out excess that it removes: not where held-out data, or the models of most parts, do without
+        it."""
+        return self.trend not in (REMOVES_NOTHING, SELDOM_FOUND)
 
     def unwritten(self) -> Sequence[str]:
         empty = [key for key in WHERE_KNOWN if not getattr(self, key)]

@@ -41,7 +41,8 @@ def predicting_better(kept: EffectModel, full: ModelFit, validation: CrossValida
     """The effects without which held-out data are predicted worse, by misfit and by chi2, and a sentence on each of the others: these have
     no place in a calibration.
 
-    An effect that was not found again without any part says nothing there: then it is judged with its coefficients fitted without the part.
+    Most models that were found without a part may lack an effect, and say nothing of it: then it is judged with its coefficients fitted
+    without the part.
     What happens at one station alone is not known where whole stations are left out, and stays. Two effects may describe one thing, and
     held-out data are then predicted as well without either. They stay if nothing else is left and both together predict better.
     """

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, Alternative, EffectFound, MismatchEntry, ResponseShape
+from mbcacq.diagnosis.effect_found import (
+    NOT_FOUND_AGAIN,
+    REMOVES_NOTHING,
+    SELDOM_FOUND,
+    Alternative,
+    EffectFound,
+    MismatchEntry,
+    ResponseShape,
+)
 from mbcacq.diagnosis.findings import TOGETHER, Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.figures import beyond_uncertainty
@@ -44,6 +52,7 @@ LATE = "Cannot tell: time ran out before all explanations were compared."
 OPEN = "Cannot tell: these {data} leave open whether there is an effect."
 LOOSE = "Cannot tell: what one ball does is rejected, and no effect is shown beside it."
 NO_FIGURE = "Cannot tell: not all of what would explain the mismatch has a reliable figure in these {data}."
+NOT_THE_SAME = "Cannot tell: the evidence shows an effect, and parts of the {data} do not find the same one."
 TREND_ALONE = "A trend alone: the evidence shows an effect, and it is too weak for a figure."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
@@ -82,7 +91,7 @@ def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
     elif d.verdict == "cannot_tell" and not d.effects:
         sentence = LOOSE if d.rejected_balls else OPEN
     elif d.verdict in ("explained", "cannot_tell") and d.effects and all(e.trend for e in d.effects):
-        sentence = TREND_ALONE
+        sentence = NOT_THE_SAME if all(e.trend in (SELDOM_FOUND, NOT_FOUND_AGAIN) for e in d.effects) else TREND_ALONE
     elif d.verdict == "cannot_tell" and any(e.trend for e in d.effects):
         sentence = NO_FIGURE
     return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
@@ -337,7 +346,7 @@ def describe(effect: EffectFound, excess: bool = True) -> list[str]:
     """The lines of one effect, with an empty one at the end; a trend has no figure. excess: as ``effect_lines``."""
     at = f"{effect_in_words(effect.name)} at {', '.join(effect.where)}"
     # A share that its uncertainty covers is no figure either.
-    share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and effect.trend != REMOVES_NOTHING else ""
+    share = f", removes {percent(effect.gain_here)} of the excess over noise" if excess and effect.removes else ""
     out = [f"{at} ({p_value(effect.p_value)}{share})"]
     parameters, below = beyond_uncertainty(effect.parameters)
     values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in parameters.items()]

@@ -30,8 +30,8 @@ class CrossValidation:
         Where random effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then
         measured against it.
     refitted : dict[str, tuple[PredictiveScore, PredictiveScore]]
-        Scores with and without effects that no search without a part has found: effects of all data, their coefficients fitted without
-        the part.
+        Scores with and without effects that most searches without a part have not found: effects of all data, their coefficients fitted
+        without the part.
     """
 
     before: PredictiveScore

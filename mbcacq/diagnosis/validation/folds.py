@@ -109,8 +109,8 @@ def evaluated_folds(
 ) -> tuple[list[FoldResult], Refitted]:
     """The models found without each part, evaluated on that part under the noise of the fit of all data.
 
-    keys: effects to be left out in turn. searched: gets how many of the searches have ended. Effects that none of the searches found have
-    scores with and without them as well, of the model of all data with its coefficients fitted without the part.
+    keys: effects to be left out in turn. searched: gets how many of the searches have ended. Effects that most of the searches did not find
+    have scores with and without them as well, of the model of all data with its coefficients fitted without the part.
     """
     problem, models = again.problem, [(found.model, found.random) for found in again.models(searched)]
     if problem.in_part:
@@ -119,7 +119,7 @@ def evaluated_folds(
         models = [(model, tuple(replace(groups[g.location, g.depends_on], sigma=g.sigma) for g in random)) for model, random in alive]
     products = SharedProducts(full.joint, models, again.left_out)
     results = [evaluated_fold(full, model, random, keys, products, number) for number, (model, random) in enumerate(models)]
-    missed = [key for key in keys if all(key in one.missed for one in results)]
+    missed = [key for key in keys if 2 * sum(key in one.missed for one in results) > len(results)]
     nothing: Refitted = dict.fromkeys(missed, (NO_CENTRES, NO_CENTRES))
     for number in range(len(models)) if missed else ():
         random = () if full.everywhere else full.random

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.transfer import Transfer
-from mbcacq.diagnosis.effect_found import REMOVES_NOTHING, EffectFound
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import Findings
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.pictures import axis_of
@@ -133,7 +133,7 @@ def effect_content(effect: EffectFound, excess: bool = True) -> EffectContent:
         title=f"Trend: {name} at {at}" if trend else f"{capitalised(name)} at {at}",
         depends_on=axis_of(effect.depends_on)[0] if effect.depends_on else "",
         p_value=p_value(effect.p_value),
-        gain=percent(effect.gain_here) if excess and trend != REMOVES_NOTHING else "",
+        gain=percent(effect.gain_here) if excess and effect.removes else "",
         parameters=[row for key, entry in shown.items() if key not in harmonics for row in _parameter(key, entry)],
         alternatives=[f"{spelt_out(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives],
         harmonics=_harmonics(harmonics),
