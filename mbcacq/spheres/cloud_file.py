@@ -285,6 +285,8 @@ def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], cou
     length, announced = np.frombuffer(data[:8], "<u4").tolist() if len(data) >= 8 else (0, -1)
     if announced != size or len(data) < 8 + length:
         raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")
+    if not all(name.isascii() for name, _ in fields):  # Open3D takes them for UTF-8
+        raise ConfigError(f"{path}: a name of its fields is no ASCII; copy it anew")
     columns: dict[str, np.ndarray] = {}
     for name, values in open3d().t.io.read_point_cloud(str(path), format="pcd").point.items():
         columns |= dict(zip(VECTORS.get(name, (name,)), values.numpy().T, strict=True))

@@ -92,6 +92,8 @@ def test_compressed_pcd_and_packed_colours(read, tmp_path):
             read(data[:begin] + b"\xff" * 4 + data[begin + 4 :], "a.pcd")
     with pytest.raises(ConfigError, match="holds no points"):
         read(data.replace(b"POINTS 8", b"POINTS " + b"9" * 30), "a.pcd")
+    with pytest.raises(ConfigError, match="a name of its fields is no ASCII"):
+        read(data.replace(b" rgb", b" \x80rgb"), "a.pcd")
 
 
 def test_what_another_library_writes_is_read(tmp_path):
