@@ -29,7 +29,8 @@ def returning_to_geometry(cell: CalibratedCell, without: CalibratedCell, named: 
     named: the effects of the latter.
     """
     model = cell.effects
-    ending = [t for t in model.terms if t.name == UNKNOWN and all(map(is_angle, t.covariates))] if model else []
+    unmodelled = [t for t in model.terms if t.name == UNKNOWN and 1 <= len(t.covariates) <= 2] if model else []
+    ending = [t for t in unmodelled if all(map(is_angle, t.covariates))]
     if model is None or not ending:
         return cell
     changes = list(_changes(cell, without, named, ending))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import adjusted_cell
+from mbcacq.calibration.description import SAME
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
@@ -21,7 +22,6 @@ from mbcacq.quantities import K, measured
 LEAST_CENTRES = 8  # fewer fit any scale
 SURE = 5.0  # standard uncertainties by which a scale must differ from 1
 MOST_WITH_SCALE = 0.8  # share of the misfit that may remain with it: errors of an arm may look a little like a scale
-ALIKE = 1.25  # factor within which two scales leave the same misfit and cannot be told apart
 NAME = "target_scale"
 ALL, DEPTH = (0, 1, 2), (2,)  # coordinates of the scanner's frame
 
@@ -76,7 +76,7 @@ def wrong_length(o: Observations) -> str:
     what, cause, either = "the measured places", "the pitch or size of the target, or a unit", ""
     if best is depth:
         what, cause = "the measured places along z of the scanner", "the focal length or the depth scale of the camera"
-        either = ", or a scale of all three coordinates" if size is not None and size.after_mm < ALIKE * best.after_mm else ""
+        either = ", or a scale of all three coordinates" if size is not None and size.after_mm < SAME * best.after_mm else ""
     return (
         f"with {what} times {best.factor:.5f} ± {K * best.sigma:.1g} (k = 2) the residual falls from {best.before_mm:.3g} to "
         f"{best.after_mm:.3g} mm{either}: {cause} is wrong by that; correct it, and calibrate with it"
