@@ -1,4 +1,4 @@
-"""The command group: names and one-line helps stand here. The module of a command is imported when it is called, what that imports when it is used."""
+"""The command group: names and one-line helps stand here. A command is imported when it is called, and what it imports when it is used."""
 
 from __future__ import annotations
 
