@@ -120,7 +120,7 @@ def serial_sensor(pty: bool = False) -> Iterator[Stand]:
             given = {
                 "port": proxy.path if pty else f"socket://127.0.0.1:{proxy.port}",
                 "ask": "T?\n",
-                "timeout_s": 15.0,
+                "timeout_s": 3.0,
                 "max_rate": {"humidity": 1.0},
                 "line": r"T=(?P<air_C>[-+0-9.]+) H=(?P<humidity>[0-9]+)",
                 "identity": {"ask": "ID?\n", "expect": "THERM-2"},
@@ -148,7 +148,7 @@ def serial_positioner() -> Iterator[Stand]:
         FakeSerialPositioner(parse_options(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
         PtyProxy(Channel("line"), fake.address, cut=LINE, cut_driver=LINE) as proxy,
     ):
-        lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 15.0, "move_timeout_s": 60.0}
+        lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 60.0}
 
         def use(positioner: SerialPositioner) -> None:
             station = "2" if lift.target == 0.0 else "1"
