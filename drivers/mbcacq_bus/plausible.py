@@ -15,7 +15,8 @@ _RECENT_S = 600.0  # two bodies may well change places in a longer time
 _TEMPERATURES = ("C", "°C", "degC", "deg C", "K")
 _TEMPERATURE_RATE = 0.5  # K/s: more than air in a hall or a body of metal changes by
 _TEMPERATURE_STEP = 10.0  # K: a larger one is read again, however long ago the last reading was
-_NOISE = 0.15  # K: of usual probes and their last digit; what changes by more is read three times
+_NOISE = 0.15  # K: of usual probes (IEC 60751, class A) and their last digit; what changes by more is read three times
+_STEADY_S = 0.5  # what changes by more than its max_rate allows in this time is read three times
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Plausibility:
         self._units = {name: unit or ("C" if name.endswith("_C") else "") for name, unit in units.items()}
         self._max_rates = dict(max_rates)
         self._temperatures = {name for name, unit in self._units.items() if unit in _TEMPERATURES} - self._max_rates.keys()
+        self._noise = dict.fromkeys(self._temperatures, _NOISE) | {name: _STEADY_S * rate for name, rate in max_rates.items()}
         self._last: dict[str, float] = {}
         self._steps: dict[str, float] = {}
         self._readings, self._at = 0, -math.inf
@@ -52,21 +54,23 @@ class Plausibility:
     ) -> dict[str, float]:
         """A reading, or that of ``again`` if it cannot follow the last one. Raises DeviceFault if the second cannot either.
 
-        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong. A temperature that
-        changed by more than noise is read three times, and the middle value counts. again: reads once more; its argument says whether the
-        first reading is doubted.
+        The very first one of values whose rate is limited is read twice: nothing else could say that it is wrong. One that changed by more
+        than noise is read three times, and the middle value counts. again: reads once more; its argument says whether the first reading is
+        doubted.
         """
-        if not self._last and (self._max_rates or self._temperatures):
+        if not self._last and self._noise:
             self.believe(values, now())
             values = again(False)
         first = self.doubt(values, now())
         if first is None and any(
-            abs(values[name] - self._last.get(name, values[name])) > _NOISE for name in self._temperatures & values.keys()
+            abs(values[n] - self._last.get(n, values[n])) > self._noise[n] for n in self._noise.keys() & values.keys()
         ):
             readings, before = (values, again(False), again(False)), values
             values = {name: sorted(reading.get(name, value) for reading in readings)[1] for name, value in values.items()}
             if wrong := [
-                f"{name} {before[name]:g}, then {value:g}" for name, value in values.items() if abs(before[name] - value) > _NOISE
+                f"{name} {before[name]:g}, then {value:g}"
+                for name, value in values.items()
+                if abs(before[name] - value) > self._noise.get(name, math.inf)
             ]:
                 self._read_again = f"the first of three readings was another: {', '.join(wrong)}"
         if first is not None:

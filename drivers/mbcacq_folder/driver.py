@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import hashlib
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +20,7 @@ from mbcacq.devices import (
     Description,
     DeviceFault,
     DeviceTimeout,
+    Fact,
     Field,
     Scan,
     parse_options,
@@ -48,6 +50,7 @@ class FolderScanner(ContextDevice):
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model, self._options = name, model, parse_options(FolderOptions, f"scanner '{name}'", options, ("read_cloud",))
         self._stop, self._connected, self._count = threading.Event(), False, 0
+        self._facts: tuple[Fact, ...] = ()
         self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
 
     def use_outputs(self, set_output: Callable[[int, bool], None] | None, numbers: Sequence[int]) -> None:
@@ -72,8 +75,19 @@ class FolderScanner(ContextDevice):
             raise ConfigError(f"scanner '{self._name}': nobody reads its clouds; create it by mbcacq, which hands it a reader")
         if not self._options.folder.is_dir():
             raise ConnectError(f"scanner '{self._name}': there is no folder {self._options.folder}; create it, or correct the plan")
+        self._facts = self._read_facts()
         self._trigger.check()
         self._connected = True
+
+    def facts(self) -> tuple[Fact, ...]:
+        """The content of each watched file at the last cloud, by a digest."""
+        return self._facts
+
+    def _read_facts(self) -> tuple[Fact, ...]:
+        try:
+            return tuple(Fact(str(path), hashlib.sha256(path.read_bytes()).hexdigest()[:8]) for path in self._options.watched)
+        except OSError as error:
+            raise ConnectError(f"scanner '{self._name}': {error.filename}, which it watches: {error.strerror}; bring it back") from error
 
     def capture(self, exposure_us: float | None = None) -> Scan:
         """CloudTrigger, wait for a new cloud, read it. The exposure is the program's own; ``exposure_us`` is not used.
@@ -87,7 +101,7 @@ class FolderScanner(ContextDevice):
         before, deadline = self._files(), time.monotonic() + self._options.timeout_s
         self._trigger.fire(deadline)
         path, points, others = self._await(before, deadline)
-        self._count += 1
+        self._count, self._facts = self._count + 1, self._read_facts()
         warnings = ()
         if others:
             warnings = (f"{len(others) + 1} new clouds stand in the folder after one trigger ({', '.join(others)}); {path.name} was taken",)

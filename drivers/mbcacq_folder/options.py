@@ -40,7 +40,8 @@ class TriggerOptions(DriverOptions):
 class FolderOptions(DriverOptions):
     """folder: where the clouds are saved, relative to where the run is started. pattern: of their names. timeout_s: how long a cloud may
     take from its trigger on. quiet_s: how long a file must not grow any more to count as written. unit, axes, range_map: how the clouds are
-    written. read_cloud: set by the run; reads a file."""
+    written. watched: files in which the scanner's program keeps settings, job or calibration; poses before and after a change of one are
+    kept apart. read_cloud: set by the run; reads a file."""
 
     folder: Path
     pattern: str = "*"
@@ -51,4 +52,5 @@ class FolderOptions(DriverOptions):
     unit: str | None = None
     axes: str = "x y z"
     range_map: tuple[float, float, float, float] | None = None
+    watched: tuple[Path, ...] = ()
     read_cloud: Any = None

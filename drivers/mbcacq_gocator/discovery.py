@@ -18,7 +18,6 @@ _REQUEST = struct.Struct("<QQQQ")
 _HEAD = struct.Struct("<QQqQH")
 _INFO = struct.Struct("<II10x4s12xI17xH2xHH2x")  # serial, firmware, address, length of the network's prefix, ports
 _OLD = struct.Struct("<QQqQQ12x4s4x4s16x")
-_OLD_PORTS = (3190, 3194, 3196)
 _UNTOLD = (0, 0, 0, 0)
 
 
@@ -30,12 +29,12 @@ class FoundSensor:
     """
 
     serial: int
-    firmware: tuple[int, int, int, int]
+    firmware: tuple[int, int, int, int] = _UNTOLD
     address: str
     prefix_length: int
-    control_port: int
-    health_port: int
-    data_port: int
+    control_port: int = 3190
+    health_port: int = 3194
+    data_port: int = 3196
     properties: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -86,16 +85,7 @@ def _parse_old(data: bytes) -> FoundSensor:
     prefix = int.from_bytes(mask, "big").bit_count()
     if (length, kind, status, signature) != (_OLD.size, _REPLY + _GET_ADDRESS, 1, _SIGNATURE) or serial >= 2**32:
         raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
-    control, health, data_port = _OLD_PORTS
-    return FoundSensor(
-        serial=serial,
-        firmware=_UNTOLD,
-        address=socket.inet_ntoa(ip),
-        prefix_length=prefix,
-        control_port=control,
-        health_port=health,
-        data_port=data_port,
-    )
+    return FoundSensor(serial=serial, address=socket.inet_ntoa(ip), prefix_length=prefix)
 
 
 def _properties(data: bytes, at: int) -> dict[str, str]:

@@ -12,7 +12,7 @@ from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.control import ControlChannel
 from mbcacq_gocator.exposure import expose
 from mbcacq_gocator.files import SensorFiles
-from mbcacq_gocator.generation import gopxl_answers
+from mbcacq_gocator.generation import GOPXL_CONTROL, answers
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
@@ -75,7 +75,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
         except IdentityError:
             raise
         except ConnectError as error:
-            if not session.control.is_open and gopxl_answers(self._place.address):
+            if not session.control.is_open and answers(self._place.address, GOPXL_CONTROL):
                 raise ConnectError(f"the sensor at {self._place.address} runs GoPxL; use driver: gopxl") from None
             raise elsewhere(error, self._place) from None
         finally:

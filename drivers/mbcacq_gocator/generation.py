@@ -8,15 +8,7 @@ CLASSIC_CONTROL, GOPXL_CONTROL = 3190, 3600
 _WAIT_S = 0.5
 
 
-def classic_answers(address: str) -> bool:
-    return _accepts(address, CLASSIC_CONTROL)
-
-
-def gopxl_answers(address: str) -> bool:
-    return _accepts(address, GOPXL_CONTROL)
-
-
-def _accepts(address: str, port: int) -> bool:
+def answers(address: str, port: int) -> bool:
     try:
         with socket.create_connection((address, port), _WAIT_S):
             return True

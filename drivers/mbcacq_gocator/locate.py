@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from ipaddress import ip_address
-
-from mbcacq.devices import ConnectError
+from mbcacq.devices import ConnectError, is_loopback
 from mbcacq_gocator.discovery import FoundSensor, find_sensors
 from mbcacq_gocator.options import GocatorOptions
 
@@ -31,7 +29,7 @@ def located(options: GocatorOptions) -> GocatorOptions:
 
 def elsewhere(error: ConnectError, options: GocatorOptions) -> ConnectError:
     """The error, with what else answers on the networks of this computer: a wrong address is the usual cause."""
-    if _loopback(options.address):
+    if is_loopback(options.address):
         return error
     try:
         found = find_sensors(_HINT_S, options.broadcast, options.discovery_port)
@@ -44,10 +42,3 @@ def _listed(found: list[FoundSensor]) -> str:
     if not found:
         return "none does"
     return "found: " + ", ".join(f"{s.model or 'a Gocator'} serial {s.serial} at {s.address}" for s in found[:8])
-
-
-def _loopback(address: str) -> bool:
-    try:
-        return ip_address(address).is_loopback
-    except ValueError:
-        return address.lower() == "localhost"

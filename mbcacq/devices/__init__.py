@@ -10,7 +10,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 
 from __future__ import annotations
 
-from mbcacq.devices.addresses import HOST, is_host
+from mbcacq.devices.addresses import HOST, is_host, is_loopback
 from mbcacq.devices.child_process import ChildEnded, ChildProcess, kill
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
@@ -86,6 +86,7 @@ __all__ = [
     "hang_up",
     "has_ended",
     "is_host",
+    "is_loopback",
     "is_interactive",
     "joint_target",
     "kill",

@@ -26,7 +26,7 @@ def on_loopback_only(options: Mapping[str, Any]) -> bool:
     """
     found = False
     for key, text in _texts(options):
-        local = _loopback(text)
+        local = is_loopback(text)
         if local is None and not ADDRESS_KEY.search(key):
             continue
         if not local:
@@ -46,11 +46,11 @@ def _texts(options: Any, key: str = "") -> Iterator[tuple[str, str]]:
         yield key, options
 
 
-def _loopback(text: str) -> bool | None:
-    """None if the text is no address."""
+def is_loopback(text: str) -> bool | None:
+    """Whether an address, also with a port, leads to this computer; None if the text is no address."""
     host = re.sub(r"^\w+://", "", text).strip("[]")
     host = re.sub(r"^([^:]+):\d+$", r"\1", host)
-    if host == "localhost":
+    if host.lower() == "localhost":
         return True
     try:
         return ipaddress.ip_address(host).is_loopback

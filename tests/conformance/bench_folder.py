@@ -24,6 +24,8 @@ def folder() -> Iterator[Stand]:
     """Every cloud is of another height, so that an old one cannot pass for a new one."""
     with ExitStack() as stack:
         place, exposed = Path(stack.enter_context(tempfile.TemporaryDirectory())), []
+        calibration = place / "calibration.txt"
+        calibration.write_text("calibrated on 2 March\n")
 
         def source(exposure_us: float) -> ScannerFrame:
             exposed.append(exposure_us)
@@ -33,6 +35,7 @@ def folder() -> Iterator[Stand]:
         proxy = stack.enter_context(TcpProxy(Channel("trigger"), ("127.0.0.1", program.port)))
         trigger = {"tcp": f"127.0.0.1:{proxy.port}", "reply": "OK"}
         given = {"folder": place, "pattern": "*.ply", "trigger": trigger, "quiet_s": 0.05, "read_cloud": read_points, "timeout_s": 15.0}
+        given["watched"] = [calibration]
 
         def use(scanner: FolderScanner) -> None:
             before = len(exposed)
@@ -53,4 +56,5 @@ def folder() -> Iterator[Stand]:
             {"trigger": proxy},
             begin=begin,
             short_limits={"timeout_s": 0.6, "connect_timeout_s": 1.0},
+            facts={str(calibration): lambda: calibration.write_text("calibrated on 3 October\n")},
         )

@@ -64,6 +64,7 @@ def gopxl(**more: Any) -> Iterator[Stand]:
                 "serial number": lambda: replaced("serial", "54321"),
                 "firmware": lambda: replaced("api", "1.1.0"),
                 "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
+                "alignment": lambda: sensor.resources.transform.update(x=2.5),
                 "exposure": lambda: setattr(sensor, "source", longer),
             },
         )

@@ -92,6 +92,7 @@ def profiles(kind: str, **more: Any) -> Iterator[Stand]:
                 "serial number": lambda: replaced(sensor.resources, "serial", "54321"),
                 "firmware": lambda: replaced(sensor.resources, "api", "1.1.0"),
                 "job": lambda: setattr(sensor.resources, "loaded_job", "other"),
+                "alignment": lambda: setattr(sensor.resources, "align_state", 1),
                 "exposure": lambda: sensor.resources.sensor["exposureSettings"].update(singleExposure=777.0),
             },
         }

@@ -47,9 +47,9 @@ QUICK = {
 SWITCHES = {"kuka_rsi", "kuka_eki", "ur_rtde"}
 REPORTS_FACTS = {
     *("ur_rtde", "opcua", "kuka_eki", "kuka_rsi", "gocator", "gopxl", "gocator profiles", "gopxl profiles"),
-    *("modbus positioner", "serial positioner", "modbus sensor", "serial sensor"),
+    *("modbus positioner", "serial positioner", "modbus sensor", "serial sensor", "folder"),
 }
-REPORTS_NONE = {"folder", "manual", "simulated", "simulated scanner"}
+REPORTS_NONE = {"manual", "simulated", "simulated scanner"}
 
 
 OTHERS = [check for check in CHECKS if check is not a_changed_fact_is_seen]

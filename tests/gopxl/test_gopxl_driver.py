@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from gopxl_scene import tilted_plane
 from mbcacq_fakes.protocols.gopxl import FakeGoPxL, resources
-from mbcacq_gocator import generation
 from mbcacq_gocator.gopxl import discovery
 from mbcacq_gocator.gopxl.driver import GoPxL
 
@@ -40,11 +39,17 @@ def test_what_somebody_else_changes_is_reported_with_the_next_scan(sensor, optio
     with GoPxL("scanner", "3504", options) as scanner:
         scanner.capture(800.0)
         before = {fact.name: fact.value for fact in scanner.facts()}
-        assert before == {"job": "bench", "exposure": "as set", "serial number": "12345", "firmware": before["firmware"]}
+        known = {"alignment": "none", "job": "bench", "exposure": "as set", "serial number": "12345"}
+        assert before == known | {"firmware": before["firmware"]}
         sensor.resources.sensor["exposureSettings"]["singleExposure"] = 2000
         sensor.resources.loaded_job = "other"
+        sensor.resources.transform["zAngle"] = 1.5
         assert scanner.capture(800.0).exposure_us == 2000.0
-        assert {fact.name: fact.value for fact in scanner.facts()} == before | {"job": "other", "exposure": "2000 us instead of 800 us"}
+        assert {fact.name: fact.value for fact in scanner.facts()} == before | {
+            "alignment": "none, zAngle 1.5",
+            "job": "other",
+            "exposure": "2000 us instead of 800 us",
+        }
 
 
 def test_a_uniform_surface_gives_the_same_plane(sensor, options):
@@ -183,7 +188,7 @@ def test_stop_ends_a_scan_under_way(sensor, options):
 
 
 def test_the_right_driver_is_named_where_the_other_generation_answers(options, sensor, monkeypatch):
-    monkeypatch.setattr(generation, "CLASSIC_CONTROL", sensor.ports.control)  # something listens there
+    monkeypatch.setattr("mbcacq_gocator.gopxl.driver.CLASSIC_CONTROL", sensor.ports.control)  # something listens there
     with pytest.raises(ConnectError, match="use driver: gocator"):
         GoPxL("scanner", "", {"address": "127.0.0.1", "control_port": 1, "connect_timeout_s": 0.5}).connect()
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from mbcacq_gocator import generation
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.cli.app import app
@@ -72,6 +71,6 @@ def test_the_quick_plan_runs_dry_with_gopxl_by_one_word(tmp_path):
 
 
 def test_the_classic_driver_names_gopxl_where_that_answers(sensor, monkeypatch):
-    monkeypatch.setattr(generation, "GOPXL_CONTROL", sensor.ports.control)
+    monkeypatch.setattr("mbcacq_gocator.driver.GOPXL_CONTROL", sensor.ports.control)
     with pytest.raises(ConnectError, match="use driver: gopxl"):
         Gocator("scanner", "", {"address": "127.0.0.1", "control_port": 1, "connect_timeout_s": 0.5}).connect()

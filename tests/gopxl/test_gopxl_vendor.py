@@ -35,6 +35,7 @@ VENDORS = {
     ("read", SCANNER),  # S: ReceiveSurface
     ("update", SCANNER),  # S: ReceiveSurface
     ("read", f"{SCANNER}/alignment"),  # S: AlignSensor
+    ("read", f"{SCANNER}/sensors/sensor-0/transform"),  # S: AlignSensor
     ("read", f"{SCANNER}/metrics"),  # S: ReceiveMetrics
     ("read", f"{SCANNER}/outputs"),  # S: how an image source is found
     ("call", f"{SCANNER}/actions/trigger"),  # S: ReceiveImage

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import ConnectError, Description, Field, IdentityError, Scan, parse_options
-from mbcacq_gocator.generation import classic_answers
+from mbcacq.devices import ConnectError, Description, Fact, Field, IdentityError, Scan, parse_options
+from mbcacq_gocator.generation import CLASSIC_CONTROL, answers
 from mbcacq_gocator.gopxl import tree
 from mbcacq_gocator.gopxl.control import GoPxLControl
 from mbcacq_gocator.gopxl.discovery import located
@@ -46,6 +46,9 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
         self._found: Found | None = None
         self._place = self.options
 
+    def _read_facts(self, session: GoPxLSession) -> tuple[Fact, ...]:
+        return Fact("alignment", session.alignment()), *super()._read_facts(session)
+
     def _watch(self, session: GoPxLSession) -> None:
         for warning in self._guard.look(session.health()):
             _log.warning("scanner '%s': %s", self.name, warning)
@@ -63,7 +66,7 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
         except IdentityError:
             raise
         except ConnectError as error:
-            if "GoPxL control" in str(error) and classic_answers(place.address):
+            if "GoPxL control" in str(error) and answers(place.address, CLASSIC_CONTROL):
                 raise ConnectError(f"the sensor at {place.address} runs classic Gocator firmware; use driver: gocator") from None
             raise
         info = session.info or tree.SensorInfo(0, "", "")

@@ -70,10 +70,16 @@ class GoPxLSession(SensorSession[GoPxLControl]):
         if wanted and wanted != loaded:
             self.control.call(tree.LOAD_JOB, {"name": wanted}, JOB_S)
 
+    def alignment(self) -> str:
+        """'none', or what the sensor does to its points: whether it is aligned, and the transformation, mm and deg."""
+        state = self.control.read_if_there(f"{self.scanner.group}/alignment").get("alignState", 0)
+        transform = self.control.read_if_there(f"{self.scanner.sensor}/transform").get("transform")
+        terms = transform.items() if isinstance(transform, dict) else ()
+        return ", ".join([tree.ALIGN_STATES.get(state, f"state {state}"), *(f"{name} {value}" for name, value in terms if value)])
+
     def _refuse_alignment(self) -> None:
         """Points are in the sensor's own frame only while it is not aligned."""
-        state = self.control.read_if_there(f"{self.scanner.group}/alignment").get("alignState")
-        if state == tree.ALIGNED and not self.options.allow_aligned:
+        if self.alignment().startswith("aligned") and not self.options.allow_aligned:
             raise ConfigError(
                 "the sensor is aligned, so its points are in the frame of that alignment and not in its own; clear the alignment "
                 "on the page Alignment of its web interface, or set allow_aligned: true and never align it again"

@@ -14,7 +14,7 @@ JOBS, LOAD_JOB = "/jobs", "/jobs/commands/load"
 GDP, GDP_OUTPUTS = "/controls/gocator", "/controls/gocator/outputs"
 READY, RUNNING, CONFLICT = 0, 1, 2
 SOFTWARE_TRIGGER, PROFILE_MODE, SURFACE_MODE, SINGLE_EXPOSURE = 3, 2, 3, 0
-ALIGNED = 1
+ALIGN_STATES = {0: "none", 1: "aligned", 2: "aligning"}
 MAX_CHILDREN = 4096
 
 

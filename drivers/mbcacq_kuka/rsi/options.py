@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from mbcacq.devices import is_loopback
 from mbcacq_kuka.option_values import KukaOptions, OneOrSix
 from mbcacq_kuka.rsi.telegram import Composer
 
@@ -64,7 +65,7 @@ class RsiOptions(KukaOptions):
         for key, address in (("bind", self.bind), ("controller_ip", self.controller_ip)):
             if address and not _is_address(address):
                 raise ValueError(f"{key} must be an IP address, such as 172.31.1.100, it is {address!r}; the telegrams go to no name")
-        if not self.controller_ip and not on_loopback(self.bind):
+        if not self.controller_ip and not is_loopback(self.bind):
             raise ValueError(
                 f"controller_ip is missing; on {self.bind} any computer of the network could send telegrams, so "
                 "give the address of the controller's RSI interface"
@@ -83,14 +84,6 @@ class RsiOptions(KukaOptions):
         acceleration = self.acceleration_deg_s2 or tuple(v / _FASTEST_START_S for v in speed)
         jerk = self.jerk_deg_s3 or tuple(a / _FASTEST_RISE_S for a in acceleration)
         return list(speed), list(acceleration), list(jerk)
-
-
-def on_loopback(address: str) -> bool:
-    """Whether only programs on this computer can send to a socket that is bound to ``address``."""
-    try:
-        return address == "localhost" or ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 def _is_address(text: str) -> bool:

@@ -54,6 +54,7 @@ class Resources:
         self.gdp_port, self.gdp_enabled = 0, False
         self.outputs: list[dict[str, Any]] = []
         self.align_state, self.remote = 0, False
+        self.transform = dict.fromkeys(("x", "y", "z", "xAngle", "yAngle", "zAngle"), 0.0)
         self.temperature_C, self.scan_count = 41, 0
         self.quick_edit, self.name = False, "Sensor"
         self.content: dict[str, bytes] = {}  # of jobs that were saved or brought
@@ -118,7 +119,7 @@ class Resources:
             f"{GROUP}/metrics": self._scanner_metrics,
             f"{GROUP}/layout": lambda: {"grid": {"sensors": [{"sensorId": "sensor-0", "row": 0, "column": 0, "orientation": 0}]}},
             f"{SENSOR}/metrics": self._temperatures,
-            f"{SENSOR}/transform": lambda: {"transform": dict.fromkeys(("x", "y", "z", "xAngle", "yAngle", "zAngle"), 0.0)},
+            f"{SENSOR}/transform": lambda: {"transform": self.transform},
         }
         if path in readers:
             return readers[path]()
