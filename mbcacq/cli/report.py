@@ -10,6 +10,9 @@ from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
+from mbcacq.recording.run_folder import register
+from mbcacq.report.sources import check_result, run_folder
+from mbcacq.workflow import load
 
 
 @subcommand("report")
@@ -43,19 +46,14 @@ def command(
 
 def next_step(run: Path) -> tuple[str, str]:
     """What to do after a report, and the command for it."""
-    from mbcacq.recording.run_folder.register import RunKind, kind_of
-    from mbcacq.report.sources.check_result import read_check_result
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS, read_kept_findings
-    from mbcacq.workflow.load import as_observations, is_run_folder
-
-    if is_run_folder(run) and kind_of(run) is RunKind.CHECK:
-        what, command = read_check_result(run)["next"]
+    if load.is_run_folder(run) and register.kind_of(run) is register.RunKind.CHECK:
+        what, command = check_result.read_check_result(run)["next"]
         return what, command
-    if not is_run_folder(run) and as_observations(run).cell.robot.of_flange_poses:
+    if not load.is_run_folder(run) and load.as_observations(run).cell.robot.of_flange_poses:
         return "hold the usual methods for the hand-eye transformation against it", command_line("compare", run)
-    kept = read_kept_findings(run)
+    kept = run_folder.read_kept_findings(run)
     if "diagnosis" not in kept:
         return "ask which effects the model lacks", command_line("diagnose", run)
     if "with_effects" not in kept and kept["diagnosis"].get("model"):
         return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
-    return put_to_use(run / WITH_EFFECTS if "with_effects" in kept else run)
+    return put_to_use(run / run_folder.WITH_EFFECTS if "with_effects" in kept else run)
