@@ -33,7 +33,6 @@ from mbcacq_fakes.protocols.stall import HANGING_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
-from mbcacq_fakes.world.line_camera import LineCamera
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import Optics
@@ -144,7 +143,11 @@ class Servers:
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
-        line = LineCamera(self._camera, self._state) if settings["profiles"] else None
+        line = None
+        if settings["profiles"]:
+            from mbcacq_fakes.world.line_camera import LineCamera
+
+            line = LineCamera(self._camera, self._state)
         if self._job["scanner_driver"] == "gopxl":
             _refuse_unknown(given, FakeGoPxLOptions)
             return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), lambda: 0.0, line)
