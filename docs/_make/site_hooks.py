@@ -17,6 +17,11 @@ from plan_schema import plan_schema  # noqa: E402
 
 REFERENCE = {"command-line.md": command_line, "plan-schema.md": plan_schema, "errors.md": error_catalogue}
 SHIM = '<script src="https://unpkg.com/iframe-worker/shim"></script>'  # the theme's, fetched from outside
+# What the theme lacks for a screen reader: a name of the search, no empty heads of columns.
+ACCESSIBLE = (
+    (re.compile(r'data-md-component="search" role="dialog"'), r'\g<0> aria-label="Search"'),
+    (re.compile(r"<th( style=\"[^\"]*\")?></th>"), r"<td\1></td>"),
+)
 LINK = re.compile(r"(\]\()((?:\.\./)+)(docs|benchmarks)/")
 
 
@@ -26,7 +31,8 @@ def on_files(files: Files, config) -> Files:
         files.append(File.generated(config, f"reference/{name}", content=made()))
     for page in sorted(p for p in (ROOT / "benchmarks").iterdir() if p.suffix in (".md", ".svg", ".webp")):
         files.append(File.generated(config, f"benchmarks/{page.name}", abs_src_path=str(page)))
-    files.append(File.generated(config, "assets/offline_search.js", abs_src_path=str(ROOT / "docs" / "_make" / "offline_search.js")))
+    for name in ("site.js", "site.css"):
+        files.append(File.generated(config, f"assets/{name}", abs_src_path=str(ROOT / "docs" / "_make" / name)))
     return files
 
 
@@ -41,7 +47,9 @@ def on_post_template(output: str, template_name: str, config) -> str:
 
 
 def _with_own_script(output: str, root: str) -> str:
-    return output.replace(SHIM, f'<script src="{root}assets/offline_search.js"></script>')
+    for lacking, mended in ACCESSIBLE:
+        output = lacking.sub(mended, output)
+    return output.replace(SHIM, f'<script src="{root}assets/site.js"></script>')
 
 
 def on_page_markdown(markdown: str, page, config, files: Files) -> str:
