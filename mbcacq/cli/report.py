@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
@@ -35,27 +33,9 @@ def command(
         out = run / "report.pdf"
     if pdf and out is not None and out.suffix.lower() != ".pdf":
         raise ConfigError(f"{out} does not end in .pdf, as --pdf asks for; give another --out")
+    from mbcacq.workflow.report import report_and_next
+
     with StepProgress() as progress:
-        path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=progress)
+        path, then = report_and_next(run, out, with_diagnosis, progress)
     document = {"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}
-    return Answer(document, [str(path)], next_step(run))
-
-
-def next_step(run: Path) -> tuple[str, str]:
-    """What to do after a report, and the command for it."""
-    from mbcacq.recording.run_folder.register import RunKind, kind_of
-    from mbcacq.report.sources.check_result import read_check_result
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS, read_kept_findings
-    from mbcacq.workflow.load import as_observations, is_run_folder
-
-    if is_run_folder(run) and kind_of(run) is RunKind.CHECK:
-        what, command = read_check_result(run)["next"]
-        return what, command
-    if not is_run_folder(run) and as_observations(run).cell.robot.of_flange_poses:
-        return "hold the usual methods for the hand-eye transformation against it", command_line("compare", run)
-    kept = read_kept_findings(run)
-    if "diagnosis" not in kept:
-        return "ask which effects the model lacks", command_line("diagnose", run)
-    if "with_effects" not in kept and kept["diagnosis"].get("model"):
-        return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
-    return put_to_use(run / WITH_EFFECTS if "with_effects" in kept else run)
+    return Answer(document, [str(path)], then)

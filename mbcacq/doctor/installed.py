@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from mbcacq.devices.installed import Installed, survey
-from mbcacq.doctor.line import CheckupLine
+from mbcacq.doctor.line import CheckupLine, Level, from_error
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -19,12 +19,9 @@ def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
         if wanted is not None and (driver.kind, driver.name) not in wanted:
             continue
         if driver.problem:
-            yield CheckupLine(
-                "error",
-                f"driver {driver.name}",
-                f"{driver.kind}: {driver.problem}",
-                f"reinstall {driver.package or 'its package'}, with what it needs",
-            )
+            # What no plan names yet keeps no run from succeeding.
+            level: Level = "warning" if wanted is None else "error"
+            yield from_error(f"driver {driver.name}", f"{driver.kind}: {driver.problem}", level)
         else:
             good.append(driver)
     for kind, name in sorted((wanted or set()) - {(d.kind, d.name) for d in survey()}):
