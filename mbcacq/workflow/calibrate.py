@@ -30,6 +30,7 @@ from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
 
@@ -297,6 +298,7 @@ def calibration_content(
     content = cell.to_dict()
     content["verification"] = cell.verify(observations, limit_mm=limit_of(Path(data))).to_dict()
     content["gaps"] = find_gaps(Path(data))
+    content |= counted_joints(Path(data), observations.cell.robot.n)
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
     if with_map:
@@ -326,6 +328,7 @@ def joint_content(
     for path, cell, one in zip(data, cells, content["recordings"], strict=True):
         one["result"]["verification"] = cell.verify(as_observations(path)).to_dict()
         one["result"]["gaps"] = find_gaps(path)
+        one["result"] |= counted_joints(Path(path), cell.nominal.n)
     return content
 
 

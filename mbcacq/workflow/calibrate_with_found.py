@@ -17,6 +17,7 @@ from mbcacq.files.atomic_write import write_files
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
+from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
@@ -48,7 +49,7 @@ class CalibratedWithFound:
     def text(self) -> str:
         """A sentence with the errors of the stages."""
         if not self.places:
-            return "There are no verification poses: nothing says how good the calibration is."
+            return "There are no verification poses: no certified length says how good the calibration is."
         figures = ", ".join(
             f"{name} {fixed(np.abs(errors).mean())} mm (largest {fixed(np.abs(errors).max())} mm)" for name, errors in self.stages.items()
         )
@@ -68,7 +69,7 @@ class CalibratedWithFound:
         where the folder is a link that leads out of the one above it."""
         from mbcacq.report.charts.spacing_svg import stages_picture
 
-        files = {"result.json": sealed_text(self.result())}
+        files = {"result.json": sealed_text(self.result() | counted_joints(folder.parent, self.geometry.nominal.n))}
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         return write_files(folder.parent, {f"{folder.name}/{name}": content for name, content in files.items()})

@@ -23,6 +23,7 @@ from mbcacq.report import write_report_page
 from mbcacq.report.cards import verdict_card
 from mbcacq.report.content import Content
 from mbcacq.report.sources.run_folder import read_run_info
+from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import as_observations
 
@@ -118,6 +119,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
         "verification": verification.to_dict(),
         "accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict(),
         "gaps": find_gaps(run),
+        **counted_joints(run, observations.cell.robot.n),
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
