@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_opening
 
 from mbcacq.calibration.change_found import ChangeFound
 from mbcacq.estimation import terms
@@ -117,7 +116,8 @@ def _with_rejected_again(at: Solution) -> Solution:
     often = (count > REJECTED_OF_BALL * n) & (n - count >= LEAST_SIDE)
     in_a_row = np.zeros(obs.n_poses, bool)
     rejected = np.pad(weights.pose[obs.measuring_order] == 0, 1, constant_values=True)
-    in_a_row[obs.measuring_order] = binary_opening(rejected, np.ones(LEAST_SIDE))[1:-1]
+    begins = np.convolve(rejected, np.ones(LEAST_SIDE), "valid") == LEAST_SIDE
+    in_a_row[obs.measuring_order] = np.convolve(begins, np.ones(LEAST_SIDE))[1:-1] > 0
     if not (often.any() or in_a_row.any()):
         return at
     centre, pose = np.where(often[obs.ball], 1.0, weights.centre), np.where(in_a_row, 1.0, weights.pose)

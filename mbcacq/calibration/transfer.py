@@ -200,12 +200,8 @@ def check_transfer(
         raise ConfigError("a result of distances is tried on poses of its own recording: mbcacq calibrate --held-out random")
     refuse_other_arm("the result is of", cell.robot, cell.nominal, observations.cell.robot, recording or "the recording")
     observations = select_phases(observations, CalibrationOptions(phases=all_phases(observations)))
-    left_out: tuple[str, ...] = ()
-    if place == "known":
-        observations, left_out = at_known_stations(observations, cell)
-    model = cell.effects
-    if model is None:
-        model = EffectModel(observations.cell.robot)
+    observations, left_out = at_known_stations(observations, cell) if place == "known" else (observations, ())
+    model = cell.effects or EffectModel(observations.cell.robot)
     tried = _Trial(observations, cell, place)
     best = tried.fit(cell.state.chain, model)
     used, every = best.fit.used, np.ones(len(best.fit.used), bool)

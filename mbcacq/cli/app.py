@@ -1,14 +1,16 @@
-"""The command group: names and one-line helps stand here, each command's module is imported only when it is called."""
+"""The command group: names and one-line helps stand here. A command is imported when it is called, and what it imports when it is used."""
 
 from __future__ import annotations
 
 import errno
 import importlib
+import importlib.util
 import io
 import os
 import re
 import sys
 import traceback
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from typing import NoReturn
 
@@ -100,6 +102,19 @@ def end_unexpected(error: Exception) -> NoReturn:
     sys.exit(ExitCode.BUG)
 
 
+class ModulesOnFirstUse:
+    """A finder of this program's modules. ``from mbcacq.workflow import load`` gives a module that runs when one of its names is first
+    asked for. A command that only prints its help, or completes a word, waits for none of them."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """The module, as ``sys.meta_path`` asks for it; None for those of others."""
+        spec = PathFinder.find_spec(name, path) if name.startswith("mbcacq.") else None  # type: ignore[arg-type]
+        if spec is not None and spec.loader is not None:
+            spec.loader = importlib.util.LazyLoader(spec.loader)
+        return spec
+
+
 class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -107,7 +122,11 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        return importlib.import_module(f"mbcacq.cli.{cmd_name.replace('-', '_')}").command
+        sys.meta_path.insert(0, ModulesOnFirstUse)  # type: ignore[arg-type]
+        try:
+            return importlib.import_module(f"mbcacq.cli.{cmd_name.replace('-', '_')}").command
+        finally:
+            sys.meta_path.remove(ModulesOnFirstUse)  # type: ignore[arg-type]
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """As of a group, with the commands that are called almost the same."""

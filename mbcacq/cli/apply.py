@@ -6,11 +6,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mbcacq.calibration import result_io
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
+from mbcacq.exports import clouds as written_clouds
+from mbcacq.exports import result_json, scan_correction
+from mbcacq.files import stated_unit
 from mbcacq.quantities import K, uncertainty
+from mbcacq.workflow import arm_positions, load
 
 if TYPE_CHECKING:
     from mbcacq.spheres.cloud_file import CloudFile
@@ -45,16 +50,11 @@ def command(
 
     Example: mbcacq apply result.json clouds --poses flange.csv --orientation kuka
     """
-    from mbcacq.calibration.result_io import with_warnings
-    from mbcacq.exports.result_json import load_result
-    from mbcacq.workflow import arm_positions
-    from mbcacq.workflow.load import unsealed_note
-
     if sum(given is not None for given in (joints, flange, poses)) != 1:
         raise ConfigError("say where the arm stood, one of --joints, --flange, and --poses TABLE for a folder of clouds")
     if (poses is not None) != cloud.is_dir():
         raise ConfigError(f"{cloud} {'is no folder' if poses else 'is a folder'}; --poses TABLE goes with a folder of clouds")
-    known, matched = load_result(result), ""
+    known, matched = result_json.load_result(result), ""
     if poses is not None:
         clouds = arm_positions.clouds_in(cloud, (".ply", ".pcd"))
         positions, matched = arm_positions.positions_in(poses, known, clouds, orientation)
@@ -70,7 +70,7 @@ def command(
     marked = {"format": "mbcacq-apply/1", **({"simulated": True} if known.get("simulated") else {})}
     document = {**marked, **placed[0]} if poses is None else {**marked, "matched": matched, "clouds": placed}
     notes = dict.fromkeys([note for one in placed for note in one["notes"]] + ([matched] if matched else []))
-    warnings = [*with_warnings(known), *unsealed_note(result)]
+    warnings = [*result_io.with_warnings(known), *load.unsealed_note(result)]
     return Answer(document, (line for one in placed for line in _lines_of(one)), judge_first(result), warnings, notes)
 
 
@@ -84,10 +84,8 @@ def _lines_of(one: Mapping[str, Any]) -> list[str]:
 
 def _output(cloud: Path, out: Path | None, force: bool) -> list[Path]:
     """The file of one cloud. Raises ConfigError where it is there and ``force`` is not given."""
-    from mbcacq.workflow.load import refuse_existing
-
     made = out or cloud.with_name(f"{cloud.stem}_base.ply")
-    refuse_existing(made, force, f"{made} exists; give another --out, or --force to replace it")
+    load.refuse_existing(made, force, f"{made} exists; give another --out, or --force to replace it")
     return [made]
 
 
@@ -102,13 +100,11 @@ def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
 
 def _placed(known: Mapping[str, Any], cloud: Path, position: ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
     """Write one cloud in the base frame; what was written, and how well it is placed."""
-    from mbcacq.exports.clouds import write_cloud
-    from mbcacq.exports.scan_correction import place_scan
     from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 
     found = read_cloud_file(cloud)
-    moved, placed = place_scan(known, position.q, in_mm(cloud, found, unit), flange=position.flange)
-    changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
+    moved, placed = scan_correction.place_scan(known, position.q, in_mm(cloud, found, unit), flange=position.flange)
+    changed = written_clouds.write_cloud(out, moved, found.properties, placed.T_base_scanner)
     return {
         "output": str(out),
         "points": len(moved),
@@ -126,14 +122,13 @@ def _notes(cloud: CloudFile, unit: str | None, result: Mapping[str, Any], change
     """What was decided about the cloud without being asked. unit: as it was said; changed: properties that PLY has no type for."""
     import numpy as np
 
-    from mbcacq.files.stated_unit import in_words
     from mbcacq.spheres.cloud_file import looks_small
 
     notes = []
     if cloud.missing:
         notes.append(f"{cloud.missing} places of the cloud hold no point and were left out")
     if not unit and cloud.unit not in ("", "mm"):
-        notes.append(f"the cloud is read in {in_words(cloud.unit)}, as its header says")
+        notes.append(f"the cloud is read in {stated_unit.in_words(cloud.unit)}, as its header says")
     if cloud.viewpoint:
         notes.append("its VIEWPOINT is not applied: the points are taken as they stand, in the scanner frame")
     balls = np.array([ball["centre_mm"] for ball in result.get("balls", ())], dtype=float).reshape(-1, 3)

@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import mbcacq
+from mbcacq.calibration import result_io
+from mbcacq.cli import tables
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.errors import ConfigError
+from mbcacq.files import atomic_write
+from mbcacq.fleet import arm_prior
+from mbcacq.model import json_text
+from mbcacq.workflow import calibrate
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,9 +78,6 @@ def command(
       mbcacq calibrate ur5-tracker --held-out random --held-out-size 300
       mbcacq calibrate latest --effects diagnosis.json --out result.json
     """
-    from mbcacq.calibration.result_io import of_flange_poses
-    from mbcacq.workflow.calibrate import HeldOutOptions, calibration_content, draw_l_curve, joint_content
-
     options = mbcacq.CalibrationOptions(
         method=method,
         pairs=pairs,
@@ -89,7 +92,7 @@ def command(
         refuse=not even_if_undetermined,
         priors=learnt_priors(prior),
     )
-    split = HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
+    split = calibrate.HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}
@@ -98,18 +101,15 @@ def command(
         raise ConfigError("--held-out, --map and --l-curve are of one recording; give one, or leave them out")
     with StepProgress("reading the recording and calibrating"):
         if others:
-            result = joint_content(data, options, **known)
+            result = calibrate.joint_content(data, options, **known)
         else:
-            result = calibration_content(first, options, held_out=split, with_map=with_map, **known)
+            result = calibrate.calibration_content(first, options, held_out=split, with_map=with_map, **known)
     if l_curve:
-        draw_l_curve(result, l_curve)
+        calibrate.draw_l_curve(result, l_curve)
     if out:
-        from mbcacq.files.atomic_write import write_file
-        from mbcacq.model.json_text import sealed_text
-
-        write_file(out, sealed_text(result))
+        atomic_write.write_file(out, json_text.sealed_text(result))
         result["files"] = {"result": str(out)}
-    if of_flange_poses(result):
+    if result_io.of_flange_poses(result):
         then = next_of_flange_poses(data, out)
     elif result.get("length_instrument"):
         then = "hold the usual methods against it", command_line("compare", data[0])
@@ -144,15 +144,11 @@ def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
     """What a fleet says about the next arm; nothing where there is none."""
     if fleet is None:
         return ()
-    from mbcacq.fleet.arm_prior import read_priors
-
-    return read_priors(fleet)
+    return arm_prior.read_priors(fleet)
 
 
 def lines_of_joint(joint: dict[str, Any]) -> Iterator[str | Table]:
     """A joint result: the arm and its effects once, then what belongs to each recording."""
-    from mbcacq.cli import tables
-
     first = joint["recordings"][0]["result"]
     if tables.identifies_arm(first):
         yield tables.parameters(first)
@@ -166,10 +162,7 @@ def lines_of_joint(joint: dict[str, Any]) -> Iterator[str | Table]:
 def lines_of(result: dict[str, Any], *, arm: bool = True) -> Iterator[str | Table]:
     """A result (content of result.json, with 'verification', 'held_out', 'gaps', 'files' where there are), with the table of the arm or
     without."""
-    from mbcacq.calibration.result_io import caveats
-    from mbcacq.cli import tables
-
-    yield from (f"*** {sentence} ***" for sentence in caveats(result))
+    yield from (f"*** {sentence} ***" for sentence in result_io.caveats(result))
     if arm and tables.identifies_arm(result):
         yield tables.parameters(result)
     yield from (*tables.fixed_scanners(result), tables.hand_eye(result))

@@ -8,11 +8,15 @@ import click
 from rich import box
 from rich.table import Table
 
+from mbcacq.challenge import run
+from mbcacq.challenge import scenarios as drawn_scenarios
+from mbcacq.challenge import table as results_table
 from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
+from mbcacq.model import shipped
 
 # Headings of the table where they differ from the keys of its rows: broken so that all ten fit 80 columns.
 SHORT = {
@@ -55,41 +59,34 @@ def command(
     """
     import numpy as np
 
-    from mbcacq.challenge.run import Outcome, take_all
-    from mbcacq.challenge.scenarios import draw, kinds
-    from mbcacq.challenge.table import line, summary
-    from mbcacq.model import shipped
-
     if protocols and outliers:
         raise ConfigError("gross outliers can only be made with --fast; leave out --outliers, or add --fast")
-    wanted = kinds(effects, missing)
+    wanted = drawn_scenarios.kinds(effects, missing)
     order = np.random.default_rng([seed, 21]).permutation(len(wanted))
-    scenarios = draw(seed, count, [wanted[i] for i in order], outliers, missing)
+    scenarios = drawn_scenarios.draw(seed, count, [wanted[i] for i in order], outliers, missing)
 
     with StepProgress() as progress:
         done = 0
 
-        def report(outcome: Outcome) -> None:
+        def report(outcome: run.Outcome) -> None:
             nonlocal done
             done += 1
             progress.clear()
-            echo(f"{outcome.scenario.number:4}  {line(outcome.score)}  {outcome.seconds:.1f} s", err=True)
+            echo(f"{outcome.scenario.number:4}  {results_table.line(outcome.score)}  {outcome.seconds:.1f} s", err=True)
             if done < count:
                 progress.begin(f"challenge {done + 1} of {count}")
 
         progress.begin(f"challenge 1 of {count}")
-        outcomes = take_all(plan or shipped.folder() / "seeing.yaml", scenarios, protocols, out, jobs, report)
-    rows = summary([o.score for o in outcomes])
+        outcomes = run.take_all(plan or shipped.folder() / "seeing.yaml", scenarios, protocols, out, jobs, report)
+    rows = results_table.summary([o.score for o in outcomes])
     document = {"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}
     return Answer(document, [table_of(rows)], ("see what a plan of yours can show", command_line("plan", "check", plan or "seeing")))
 
 
 def table_of(rows: list[dict]) -> Table:
-    from mbcacq.challenge.table import COLUMNS, cells
-
     table = Table(box=box.HORIZONTALS, padding=(0, 0), pad_edge=False, collapse_padding=True)
-    for i, name in enumerate(COLUMNS):
+    for i, name in enumerate(results_table.COLUMNS):
         table.add_column(SHORT.get(name, name), justify="left" if i == 0 else "right", min_width=12 if i == 0 else None)
     for entry in rows:
-        table.add_row(entry["kind"].replace("_", " "), *cells(entry)[1:])
+        table.add_row(entry["kind"].replace("_", " "), *results_table.cells(entry)[1:])
     return table

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
@@ -13,10 +12,8 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.interim_check import words
 from mbcacq.quantities import capitalised
-
-if TYPE_CHECKING:
-    from mbcacq.interim_check.check import InterimCheck
 
 
 @subcommand("check")
@@ -42,13 +39,11 @@ def command(
       mbcacq check runs/latest kuka --dry-run
       mbcacq check calibrated/result.json my-cell.yaml --arm
     """
-    from mbcacq.interim_check.check import CheckSettings
-
     end_in_order_on_signals()
     steps = StepProgress()
     operator = motion.operator(steps, "where all poses were measured, judge them", "check", result, plan, "--from")
     loaded = mbcacq.load_plan(plan)
-    settings = CheckSettings(poses, not placed_anew, folder=out, part=part)
+    settings = mbcacq.CheckSettings(poses, not placed_anew, folder=out, part=part)
     with steps:
         done = mbcacq.check(
             result,
@@ -64,19 +59,17 @@ def command(
     return Answer(done.to_dict(), lines_of(done), done.next_step(result, plan, motion.dry_run), end=done.refuse_changed)
 
 
-def lines_of(done: InterimCheck) -> list[str]:
+def lines_of(done: mbcacq.InterimCheck) -> list[str]:
     """What a person reads: the verdict, the evidence, the suspects, and what would have been noticed."""
-    from mbcacq.interim_check.words import odds, size_in_words, size_of
-
     v, days = done.verdict, len(done.history.days)
     out = [f"{capitalised(done.sentence)}."]
-    since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
+    since, before, alarm = (words.odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
     levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
     out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
-    out += [f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else "") for s in v.suspects]
+    out += [f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := words.size_of(s)) else "") for s in v.suspects]
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")
-        out += [f"  {name} ({where}): {size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
+        out += [f"  {name} ({where}): {words.size_in_words(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
     page = [f"page: {done.page}"] if done.run.is_dir() else []
     return [*out, f"recording: {done.run}", f"history: {done.file}", *page]

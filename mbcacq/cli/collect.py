@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import mbcacq
+from mbcacq import plan as plans
+from mbcacq.cli import progress
 from mbcacq.cli.calibrate import answer_of_run
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
@@ -14,6 +16,7 @@ from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
+from mbcacq.workflow import collect
 
 
 @subcommand("collect")
@@ -39,23 +42,19 @@ def command(
       mbcacq collect my-cell.yaml --clouds clouds --joints mbcacq_poses.csv
       mbcacq collect my-cell.yaml --clouds more-clouds --resume latest
     """
-    from mbcacq.cli.progress import RunProgress
-    from mbcacq.plan import load
     from mbcacq.spheres.cloud_files import CloudFormat
 
     end_in_order_on_signals()
     steps = StepProgress()
-    loaded = load(plan)
+    loaded = plans.load(plan)
     given = loaded.plan.scanner.options
     form = CloudFormat(unit or given.get("unit"), axes or str(given.get("axes", "x y z")), scale_of(range_map or given.get("range_map")))
     operator = mbcacq.Operator(
-        message=lambda sentence: echo(sentence, err=True), progress=steps.begin, subscribers=(RunProgress(steps.begin),)
+        message=lambda sentence: echo(sentence, err=True), progress=steps.begin, subscribers=(progress.RunProgress(steps.begin),)
     )
     if check:
-        from mbcacq.workflow.collect import pair_clouds
-
         with steps:
-            paired = pair_clouds(loaded, mbcacq.Sources(clouds, form, by, joints, table), operator=operator)
+            paired = collect.pair_clouds(loaded, mbcacq.Sources(clouds, form, by, joints, table), operator=operator)
         pairs = {here.pose.number: [path.name for path in here.clouds] for here in paired.poses}
         odd = [text for _, text in paired.notes]
         lines = [*(f"pose {number}: {', '.join(names)}" for number, names in pairs.items()), *(f"odd: {text}" for text in odd)]

@@ -13,6 +13,7 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import titled_table
 from mbcacq.errors import ConfigError
+from mbcacq.workflow import changes_page, compare_runs
 
 
 @subcommand("compare")
@@ -68,15 +69,12 @@ def command(
 
 def _changes(first: Path, second: Path, report: Path | None) -> Answer:
     """The comparison of two recordings."""
-    from mbcacq.workflow.changes_page import write_page
-    from mbcacq.workflow.compare_runs import compare_runs
-
     with StepProgress() as progress:
         progress("comparing")
-        found = compare_runs(first, second)
+        found = compare_runs.compare_runs(first, second)
         if report is not None:
             progress("drawing the page")
-            write_page(found, report)
+            changes_page.write_page(found, report)
     table = titled_table("± U, k = 2; ! is beyond chance", "", "before", "after", "change", "unit", left=["", "unit"])
     for marked, name, *shown in found.table:
         table.add_row(f"{'! ' * marked}{name}", *(text.replace(" ± ", "\n± ") for text in shown))

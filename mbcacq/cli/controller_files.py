@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mbcacq import plan as plans
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
+from mbcacq.workflow import controller_files
 
 
 @subcommand("controller-files")
@@ -20,10 +22,7 @@ def command(
 
     README.txt among them says where each file goes, and in which order things are started.
     """
-    from mbcacq.plan import load
-    from mbcacq.workflow import controller_files
-
-    files = controller_files.make(load(plan))
+    files = controller_files.make(plans.load(plan))
     written = controller_files.write(files, out, replace)
     for warning in files.get("WARNINGS.txt", "").splitlines():
         echo(f"warning: {warning}", err=True)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mbcacq
+from mbcacq.calibration import result_io
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.quantities import significant
-
-if TYPE_CHECKING:
-    from mbcacq.workflow.correct import Correction
+from mbcacq.workflow import correct, load
 
 MOST_LINES = 20
 
@@ -35,19 +33,14 @@ def command(
 
     Example: mbcacq correct weld.dat --with runs/today
     """
-    from mbcacq.calibration.result_io import with_warnings
-    from mbcacq.workflow.load import as_result, unsealed_note
-
     with StepProgress("looking for joint angles that reach the nominal places"):
         done = mbcacq.correct(program, result, out, force=force, simulated_anyway=simulated_anyway)
-    warnings = [*with_warnings(as_result(result)), *unsealed_note(result)]
+    warnings = [*result_io.with_warnings(load.as_result(result)), *load.unsealed_note(result)]
     return Answer(done.to_dict(), lines_of(done), judge_first(result), warnings, done.notes)
 
 
-def lines_of(done: Correction) -> Iterator[str]:
+def lines_of(done: correct.Correction) -> Iterator[str]:
     """What was corrected, what could not be reached, what changes much, and what is left alone."""
-    from mbcacq.workflow.correct import LARGE_CHANGE_DEG
-
     reached = [p for p in done.points if p.reached]
     missed = [p.before_mm for p in done.points if p.before_mm is not None]
     moved = f", which missed their places by up to {max(missed):.3f} mm" if missed else ""
@@ -56,7 +49,7 @@ def lines_of(done: Correction) -> Iterator[str]:
         yield f"residual of the corrected points by the model: at most {significant(1e3 * max(p.residual_mm for p in reached), 2)} µm"
     for p in [p for p in done.points if not p.reached][:MOST_LINES]:
         yield f"  {_place(p.name, p.line)}: not reached, {significant(p.residual_mm)} mm short: {p.reason}"
-    for p in [p for p in done.points if (p.largest_change_deg or 0.0) > LARGE_CHANGE_DEG][:MOST_LINES]:
+    for p in [p for p in done.points if (p.largest_change_deg or 0.0) > correct.LARGE_CHANGE_DEG][:MOST_LINES]:
         yield f"  {_place(p.name, p.line)}: a joint changes by {p.largest_change_deg:.2f}°; look at it before it runs"
     if done.left_alone:
         yield f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:"

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.camera import board as boards
 from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.errors import ConfigError
-
-if TYPE_CHECKING:
-    from mbcacq.camera.board import Board
-    from mbcacq.recording.datasets.loose_table import TableOptions, UnderstoodTable
+from mbcacq.model import cell
+from mbcacq.recording.datasets import cell_yaml, hand_eye_sets, image_set, loose_table, observation_set
+from mbcacq.recording.datasets import merge as merging
+from mbcacq.workflow import load
 
 BOARDS = ["charuco", "chessboard", "aruco", "april", "circles", "asymmetric-circles"]
 ABOVE_ZERO = click.FloatRange(0, min_open=True)
@@ -59,30 +59,24 @@ class TableSaid:
 
     def folder(self, first: Path) -> Path:
         """The folder to write. Raises ConfigError where it exists. first: what the set is called after."""
-        from mbcacq.workflow.load import refuse_existing
-
         folder = self.out or Path(f"{first.stem}-set")
-        refuse_existing(folder, self.force, f"{folder} exists; give another --out, or --force to replace it")
+        load.refuse_existing(folder, self.force, f"{folder} exists; give another --out, or --force to replace it")
         return folder
 
-    def options(self) -> TableOptions:
+    def options(self) -> loose_table.TableOptions:
         """Raises ConfigError."""
-        from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
-        from mbcacq.recording.datasets.cell_yaml import robot_of
-        from mbcacq.recording.datasets.loose_table import TableOptions
-
         if wrong := [text for text in self.columns if "=" not in text]:
             raise ConfigError(f"--column {wrong[0]}: give OURS=FILE, such as time_s=Time")
-        return TableOptions(
+        return loose_table.TableOptions(
             flange=self.flange,
             target=self.target,
             length=self.length,
             angle=self.angle,
-            measurement=ARTEFACT_IN_SCANNER if self.eye_in_hand else TARGET_IN_BASE if self.eye_to_hand else None,
+            measurement=cell.ARTEFACT_IN_SCANNER if self.eye_in_hand else cell.TARGET_IN_BASE if self.eye_to_hand else None,
             flange_inverted=self.flange_inverted,
             target_inverted=self.target_inverted,
             columns={ours: file for ours, _, file in (text.partition("=") for text in self.columns)},
-            robot=robot_of(self.robot) if self.robot else None,
+            robot=cell_yaml.robot_of(self.robot) if self.robot else None,
             noise_mm=self.noise,
             diameter_mm=self.diameter,
             by_instrument=self.by_instrument,
@@ -103,24 +97,19 @@ class BoardSaid:
     dictionary: str | None = option("Dictionary of the markers [5X5_100, april: APRILTAG_36h11].")
     camera: Path | None = option("File of the intrinsics (OpenCV, ROS, Kalibr, COLMAP) [estimated].")
 
-    def shown(self) -> Board:
+    def shown(self) -> boards.Board:
         """The board. Raises ConfigError where something must be said of it."""
-        from mbcacq.camera.board import board_of
-
         if not (self.board and self.size and self.pitch):
             missing = [f"--{name}" for name in ("board", "size", "pitch") if not getattr(self, name)]
             raise ConfigError(f"{', '.join(missing)}: missing; say which board the images show")
-        return board_of(self.board, self.size, self.pitch, self.inner, self.dictionary)
+        return boards.board_of(self.board, self.size, self.pitch, self.inner, self.dictionary)
 
-    def read(self, files: tuple[Path, ...], options: TableOptions) -> UnderstoodTable:
+    def read(self, files: tuple[Path, ...], options: loose_table.TableOptions) -> loose_table.UnderstoodTable:
         """The set of images. Raises ConfigError where something must be said of the board."""
-        from mbcacq.recording.datasets.image_set import read_images
-        from mbcacq.recording.datasets.loose_table import table_of
-
         board = self.shown()
         if self.poses is None:
             raise ConfigError("--poses of the images: missing; say where the arm stood")
-        return read_images(files, table_of(self.poses, options), board, self.camera, options)
+        return image_set.read_images(files, loose_table.table_of(self.poses, options), board, self.camera, options)
 
 
 @subcommand("new", command)
@@ -146,11 +135,9 @@ def new(
       mbcacq data new views --poses p.csv --board circles --size 9x7 --pitch 20
       mbcacq calibrate cell-3 --hand-eye-only
     """
-    from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
-
     folder, options = said.folder(files[0]), said.options()
     images = any(getattr(board, field.name) is not None for field in fields(board))
-    return _written(board.read(files, options) if images else read_hand_eye_files(files, options), folder)
+    return _written(board.read(files, options) if images else hand_eye_sets.read_hand_eye_files(files, options), folder)
 
 
 @subcommand("merge", command)
@@ -170,21 +157,16 @@ def merge(
       mbcacq data merge joints.csv tracker.csv --robot ur10e --out cell-4
       mbcacq data merge flange.csv camera.csv --flange kuka --standstill 1.0
     """
-    from mbcacq.recording.datasets.loose_table import UnderstoodTable, understood
-    from mbcacq.recording.datasets.merge import RestRule, merge_logs
-
     folder, options = said.folder(arm), said.options()
-    merged = merge_logs(arm, measured, options.columns, RestRule(standstill))
-    found = understood(merged.table, replace(options, columns={}))
-    return _written(UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder)
+    merged = merging.merge_logs(arm, measured, options.columns, merging.RestRule(standstill))
+    found = loose_table.understood(merged.table, replace(options, columns={}))
+    return _written(loose_table.UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder)
 
 
-def _written(found: UnderstoodTable, folder: Path) -> Answer:
+def _written(found: loose_table.UnderstoodTable, folder: Path) -> Answer:
     """Write the set, and say how it was understood."""
-    from mbcacq.recording.datasets.observation_set import write_observation_set
-
     obs = found.observations
-    write_observation_set(obs, folder)
+    observation_set.write_observation_set(obs, folder)
     content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
     more = {} if obs.images is None else {"images": obs.images.to_dict()}
     return Answer(

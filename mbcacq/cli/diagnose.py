@@ -13,8 +13,15 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output import text
+from mbcacq.effects import catalogue
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
+from mbcacq.recording.rrd import reader
+from mbcacq.recording.run_folder import lock
+from mbcacq.report.sources import run_folder
+from mbcacq.workflow import calibrate, calibrate_with_found, load
+from mbcacq.workflow import report as reports
 
 
 @subcommand("diagnose")
@@ -86,12 +93,8 @@ def command(
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
       mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
     """
-    from mbcacq.effects.catalogue import with_added
-    from mbcacq.recording.rrd.reader import opened_once
-    from mbcacq.workflow.load import is_run_folder
-
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    with StepProgress() as progress, with_added(effect_files), opened_once():
+    with StepProgress() as progress, catalogue.with_added(effect_files), reader.opened_once():
         progress("reading the recording")
         found = mbcacq.diagnose(
             data,
@@ -108,7 +111,7 @@ def command(
             write_matched_model(found, write_model)
         progress("writing the pictures")
         write_pictures(found, report, rrd)
-        if found.poses is not None and found.observations is not None and is_run_folder(data[0]) and not simulation:
+        if found.poses is not None and found.observations is not None and load.is_run_folder(data[0]) and not simulation:
             found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
@@ -130,13 +133,10 @@ def command(
 
 def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
     """What to do after a diagnosis, and the command for it."""
-    from mbcacq.diagnosis.output.text import is_to_be_calibrated_with
-    from mbcacq.workflow.load import is_run_folder
-
-    run = is_run_folder(data[0]) and len(data) == 1  # what is found in several recordings is kept in none of them
+    run = load.is_run_folder(data[0]) and len(data) == 1  # what is found in several recordings is kept in none of them
     if with_found:
         return put_to_use(data[0] / "with-effects" if run else Path("with-effects"))
-    if found.poses is not None and is_to_be_calibrated_with(found.poses):
+    if found.poses is not None and text.is_to_be_calibrated_with(found.poses):
         return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:
         return "see it in the report", command_line("report", data[0])
@@ -178,19 +178,12 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
-    from mbcacq.recording.run_folder.lock import write_lock
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS
-    from mbcacq.workflow.calibrate import limit_of
-    from mbcacq.workflow.calibrate_with_found import calibrate_with_found
-    from mbcacq.workflow.load import is_run_folder
-    from mbcacq.workflow.report import write_report
-
-    run = data[0] if is_run_folder(data[0]) else None
-    result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
-    files = result.write((run or Path()) / WITH_EFFECTS)
+    run = data[0] if load.is_run_folder(data[0]) else None
+    result = calibrate_with_found.calibrate_with_found(found, options, calibrate.limit_of(run) if run is not None else None)
+    files = result.write((run or Path()) / run_folder.WITH_EFFECTS)
     if run is not None:
         assert found.observations is not None, "what was calibrated has observations"
-        files.append(write_report(run))  # whose first page is about the best model that the run has
-        with write_lock(run, "diagnose"):
+        files.append(reports.write_report(run))  # whose first page is about the best model that the run has
+        with lock.write_lock(run, "diagnose"):
             files.append(result.show_in_viewer(run, found.observations))
     return ["", result.text, *(str(file) for file in files)]

@@ -8,11 +8,15 @@ from typing import Any
 import click
 
 import mbcacq
+from mbcacq.calibration import result_io
 from mbcacq.cli.declared import FILE, FOLDER, Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath, folder_of, judge_first
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.exports import marks, mount, result_json
+from mbcacq.model import cell
 from mbcacq.quantities import K, uncertainty
+from mbcacq.workflow import export, load
 
 
 @subcommand("export")
@@ -42,8 +46,6 @@ def command(
     output: Path | None = option("With --artefact: the file to write.", FILE),
 ) -> Answer:
     """Write RUN (a run folder, a .rrd file or an observation set) in the formats of other programs."""
-    from mbcacq.workflow.export import export_artefact
-
     targets = mbcacq.Targets(
         only=only,
         tool=tool,
@@ -60,7 +62,7 @@ def command(
         if artefact is None or any(wanted.values()):
             written += mbcacq.export(run, scans=scans, targets=targets, force=force, simulated_anyway=simulated_anyway, **wanted)
         if artefact is not None:
-            written.append(export_artefact(run, artefact, output, force=force))
+            written.append(export.export_artefact(run, artefact, output, force=force))
     shown = [_line_of(one) for one in written]
     notes = [note for one in written for note in one.get("notes", ())]
     then = next_step(run, observations, results, trajectory, None if artefact is None else written[-1]["file"])
@@ -97,16 +99,8 @@ def next_step(
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:
     """What must be known before the files are used."""
-    from mbcacq.calibration.result_io import with_warnings
-    from mbcacq.exports.result_json import load_result
-    from mbcacq.model.cell import SIMULATED
-    from mbcacq.workflow.load import unsealed_note
-
     if results is not None:
-        from mbcacq.exports.marks import geometry_alone
-        from mbcacq.exports.mount import remark
-
-        result = load_result(run)
-        about = (f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))
-        return [*with_warnings(result), *unsealed_note(run), *remark(result), *about]
-    return [SIMULATED] if any(one.get("simulated") for one in written) else []
+        result = result_json.load_result(run)
+        about = (f"KUKA, ROS and URDF files: {sentence}" for sentence in marks.geometry_alone(result))
+        return [*result_io.with_warnings(result), *load.unsealed_note(run), *mount.remark(result), *about]
+    return [cell.SIMULATED] if any(one.get("simulated") for one in written) else []

@@ -6,6 +6,9 @@ import signal
 import time
 from pathlib import Path
 
+from mbcacq import devices
+from mbcacq import plan as plans
+from mbcacq.acquisition import device_check
 from mbcacq.cli.declared import argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
@@ -26,26 +29,22 @@ def command(
 
     With --program, a program of `mbcacq plan program` is played in the fake cell instead, as a rehearsal of `mbcacq collect`.
     """
-    from mbcacq.acquisition.device_check import refuse_impossible_devices
-    from mbcacq.devices import load_driver
-    from mbcacq.plan import expand, load
-
-    loaded = load(plan)
-    refuse_impossible_devices(loaded)
+    loaded = plans.load(plan)
+    device_check.refuse_impossible_devices(loaded)
     with StepProgress("looking for postures that reach every pose") as steps:
-        poses = expand(loaded)
+        poses = plans.expand(loaded)
         if program is not None or clouds is not None:
             if program is None or clouds is None:
                 raise ConfigError("--program and --clouds belong together; give the folder of the program and one for its clouds")
             steps.begin("playing the program")
-            files = load_driver("fakes", "rehearsal")(loaded, poses, program, clouds, seed=seed)
+            files = devices.load_driver("fakes", "rehearsal")(loaded, poses, program, clouds, seed=seed)
             echo(f"{len(files) - 1} clouds and {files[-1]}")
             say_next("make a run of them", command_line("collect", plan, "--clouds", clouds, "--joints", files[-1]))
             return
     ended: list[int] = []  # no event: a second signal inside of its set() would wait for the first for ever
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: ended.append(number))
-    with load_driver("fakes", "cell")(loaded, poses, realtime=not fast, seed=seed, ports="plan") as cell:
+    with devices.load_driver("fakes", "cell")(loaded, poses, realtime=not fast, seed=seed, ports="plan") as cell:
         echo(f"fake cell of '{loaded.plan.name}' is up:")
         for role, options in cell.overrides().items():
             if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None) and not callable(v)):

@@ -11,18 +11,24 @@ from typing import TYPE_CHECKING
 import click
 
 import mbcacq
+from mbcacq import devices
+from mbcacq.camera import intrinsics
+from mbcacq.cli.calibrate import lines_of
 from mbcacq.cli.data import ABOVE_ZERO, BoardSaid
 from mbcacq.cli.declared import FOLDER, Answer, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.files import atomic_write
+from mbcacq.geometry import orientations
+from mbcacq.model import cell, json_text
+from mbcacq.quantities import in_degrees
+from mbcacq.recording.datasets import loose_table, pose_columns
+from mbcacq.workflow import calibrate, hand_eye, load, view_sources
 
 if TYPE_CHECKING:
     import numpy as np
-
-    from mbcacq.workflow.hand_eye import HandEyeSession
-    from mbcacq.workflow.view_sources import FollowedArm, ImageFolder, PoseFile, TypedPoses, VideoCamera
 
 
 @subcommand("hand-eye")
@@ -50,14 +56,6 @@ def command(
       mbcacq hand-eye --images incoming --board chessboard --size 9x6 --pitch 20 \\
         --poses flange.csv
     """
-    from mbcacq.camera.intrinsics import read_intrinsics
-    from mbcacq.devices.terminal_input import typed_line
-    from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE
-    from mbcacq.recording.datasets.loose_table import TableOptions
-    from mbcacq.workflow.hand_eye import HandEyeSession
-    from mbcacq.workflow.load import refuse_existing
-    from mbcacq.workflow.view_sources import ImageFolder, PoseFile, TypedPoses, VideoCamera, followed_arm
-
     board = said.shown()
     if (images is None) == (device is None):
         raise ConfigError("give the images' --images FOLDER, or the camera's --device NUMBER")
@@ -65,20 +63,22 @@ def command(
         raise ConfigError("poses are those of --poses or of --follow; give one of the two")
     if said.poses is None and follow is None and flange is None:
         raise ConfigError("--flange CONVENTION is missing: how the poses that you type write their orientation, such as kuka, ur or abb")
-    refuse_existing(out, force, f"{out} exists; give another --out, or --force to write into it")
+    load.refuse_existing(out, force, f"{out} exists; give another --out, or --force to write into it")
     if eye_in_hand and eye_to_hand:
         raise ConfigError("the camera is on the flange or fixed; give one of --eye-in-hand and --eye-to-hand")
-    measurement = TARGET_IN_BASE if eye_to_hand else ARTEFACT_IN_SCANNER
-    session = HandEyeSession(out, board, read_intrinsics(said.camera) if said.camera else None, measurement, enough)
+    measurement = cell.TARGET_IN_BASE if eye_to_hand else cell.ARTEFACT_IN_SCANNER
+    session = hand_eye.HandEyeSession(out, board, intrinsics.read_intrinsics(said.camera) if said.camera else None, measurement, enough)
     with ExitStack() as stack:
-        source: VideoCamera | ImageFolder = ImageFolder(images) if images else VideoCamera(str(device))
-        arm: TypedPoses | PoseFile | FollowedArm
+        source: view_sources.VideoCamera | view_sources.ImageFolder = (
+            view_sources.ImageFolder(images) if images else view_sources.VideoCamera(str(device))
+        )
+        arm: view_sources.TypedPoses | view_sources.PoseFile | view_sources.FollowedArm
         if follow is not None:
-            session.robot, arm = stack.enter_context(followed_arm(follow))
+            session.robot, arm = stack.enter_context(view_sources.followed_arm(follow))
         elif said.poses is not None:
-            arm = PoseFile(said.poses, TableOptions(flange=flange))
+            arm = view_sources.PoseFile(said.poses, loose_table.TableOptions(flange=flange))
         else:
-            arm = TypedPoses(lambda: typed_line(threading.Event()), str(flange), lambda text: echo(text, err=True))
+            arm = view_sources.TypedPoses(lambda: devices.typed_line(threading.Event()), str(flange), lambda text: echo(text, err=True))
         lead(session, source, arm, _Waiting(wait), flange)
     return _ended(session)
 
@@ -98,9 +98,9 @@ class _Waiting:
 
 
 def lead(
-    session: HandEyeSession,
-    images: VideoCamera | ImageFolder,
-    poses: TypedPoses | PoseFile | FollowedArm,
+    session: hand_eye.HandEyeSession,
+    images: view_sources.VideoCamera | view_sources.ImageFolder,
+    poses: view_sources.TypedPoses | view_sources.PoseFile | view_sources.FollowedArm,
     wait: _Waiting,
     convention: str | None,
 ) -> None:
@@ -130,15 +130,11 @@ def lead(
 
 def _flange(T_base_flange: np.ndarray | None, convention: str | None) -> str:
     """Where the flange is then, as a clause; '' while nobody knows."""
-    from mbcacq.geometry import orientations
-    from mbcacq.quantities import in_degrees
-    from mbcacq.recording.datasets.pose_columns import named_convention
-
     if T_base_flange is None:
         return ""
     x, y, z = T_base_flange[:3, 3]
     place = f"; the flange is near x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
-    word = named_convention(convention, "--flange") if convention else "matrix"
+    word = pose_columns.named_convention(convention, "--flange") if convention else "matrix"
     if word in ("matrix", *orientations.QUATERNIONS):
         return place
     turn = orientations.to_numbers(T_base_flange[None, :3, :3], word)[0]
@@ -147,20 +143,15 @@ def _flange(T_base_flange: np.ndarray | None, convention: str | None) -> str:
     return f"{place}, {', '.join(f'{v:.0f}' for v in in_degrees(turn))}° ({orientations.in_words(word)})"
 
 
-def _ended(session: HandEyeSession) -> Answer:
+def _ended(session: hand_eye.HandEyeSession) -> Answer:
     """Write the observation set; its calibration. Raises CalibrationError where the views are too few."""
-    from mbcacq.cli.calibrate import lines_of
-    from mbcacq.files.atomic_write import write_file
-    from mbcacq.model.json_text import sealed_text
-    from mbcacq.workflow.calibrate import calibration_content
-
     folder = session.finish()
     if folder is None or session.place is None:
         raise CalibrationError(
             f"the board was seen in {len(session.views)}: {session.known() or 'nothing is known'}; take more with --force"
         )
-    result = calibration_content(folder, mbcacq.CalibrationOptions(kinematics=False))
-    file = write_file(session.folder / "result.json", sealed_text(result))
+    result = calibrate.calibration_content(folder, mbcacq.CalibrationOptions(kinematics=False))
+    file = atomic_write.write_file(session.folder / "result.json", json_text.sealed_text(result))
     known = "" if session.enough else f", which is more than the {session.enough_mm:g} mm that were asked for: take more views"
     document = {**result, "enough": session.enough, "files": {"set": str(folder), "result": str(file)}}
     lines = [*lines_of(result), f"{len(session.views)} views; {session.known()}{known}"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 from rich.table import Table
@@ -14,9 +13,8 @@ from mbcacq.cli.next_step import command_line
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import titled_table
-
-if TYPE_CHECKING:
-    from mbcacq.workflow.merge_scans import MergedPart
+from mbcacq.parts import merge
+from mbcacq.workflow import load, merge_scans
 
 SHOWN = 10  # pairs of scans, the worst first
 
@@ -45,28 +43,24 @@ def command(
 
     Example: mbcacq merge latest --cad part.stl --surface
     """
-    from mbcacq.parts.merge import surface_mesh
-    from mbcacq.workflow.load import refuse_existing
-    from mbcacq.workflow.merge_scans import merge_scans
-
     cloud = out or (source if source.is_dir() else source.parent) / "merged.ply"
     stl = cloud.with_suffix(".stl")
     for path in (cloud, *((stl,) if surface else ())):
-        refuse_existing(path, force, f"{path} exists; give another --out, or --force to replace it")
+        load.refuse_existing(path, force, f"{path} exists; give another --out, or --force to replace it")
     with StepProgress() as steps:
-        done = merge_scans(
+        done = merge_scans.merge_scans(
             source, cloud, result=result, station=station, voxel_mm=voxel_mm, cad=cad, fit=not as_placed, progress=steps.begin
         )
         kept = done.write(cloud)
         if surface:
             steps.begin("fitting the surface")
-            surface_mesh(cloud, stl)
+            merge.surface_mesh(cloud, stl)
     lines = [f"cloud: {cloud}; figures: {kept[0]}", *([f"surface: {stl}"] if surface else ())]
     document = done.to_dict() | ({"surface": str(stl)} if surface else {})
     return Answer(document, [*_shown(done), *lines], ("look at it", command_line("view", kept[1])))
 
 
-def _shown(done: MergedPart) -> Iterator[str | Table]:
+def _shown(done: merge_scans.MergedPart) -> Iterator[str | Table]:
     found = done.agreement
     yield found.sentence
     title = f"worst of {len(found.pairs)} overlaps, 3D rms in mm (expected: k = 1; not determined: how both scans slide on each other)"

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import mbcacq
+from mbcacq.cli import arming, progress, stepping
 from mbcacq.cli.declared import option
 from mbcacq.cli.next_step import command_line, on_failure
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-
-if TYPE_CHECKING:
-    from mbcacq.workflow.run import Operator
 
 
 @dataclass(frozen=True)
@@ -27,21 +25,16 @@ class MotionOptions:
 
     def operator(
         self, steps: StepProgress, why: str, *words: object, artefact_moved: Callable[[str], bool] = lambda station: False
-    ) -> Operator:
+    ) -> mbcacq.Operator:
         """The person at the terminal. steps: shows what takes long. why, words: what an interrupted run is gone on with, and the command
         but for its last word, the folder. artefact_moved: as of an operator."""
-        from mbcacq.cli.arming import ask_before_motion
-        from mbcacq.cli.progress import RunProgress
-        from mbcacq.cli.stepping import KeyPause
-        from mbcacq.workflow.run import Operator
-
-        return Operator(
-            allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, self.arm),
+        return mbcacq.Operator(
+            allow_motion=lambda loaded, poses, sweep: arming.ask_before_motion(loaded, poses, sweep, self.arm),
             artefact_moved=artefact_moved,
-            pause=KeyPause() if self.step else None,
+            pause=stepping.KeyPause() if self.step else None,
             message=lambda sentence: echo(sentence, err=True),
             progress=steps.begin,
-            subscribers=(RunProgress(steps.begin),),
+            subscribers=(progress.RunProgress(steps.begin),),
             assume_yes=self.yes,
             began=lambda folder: on_failure(why, command_line(*words, folder), folder / "run.rrd"),
         )

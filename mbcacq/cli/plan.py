@@ -10,6 +10,9 @@ from typing import Any
 import click
 from rich.table import Table
 
+import mbcacq
+from mbcacq import plan as plans
+from mbcacq.acquisition import device_check
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_copy import copy
@@ -18,7 +21,11 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.plan_program import program
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo, titled_table
+from mbcacq.design import plan_findings, station_repair
 from mbcacq.errors import ConfigError, ExitCode
+from mbcacq.files import atomic_write
+from mbcacq.model import shipped
+from mbcacq.recording.rrd import plan_recording
 
 LONGEST_TRACK_MM = 1e5
 COLOURS = {"error": "red", "warning": "yellow", "info": "cyan"}
@@ -53,19 +60,15 @@ def new(
     Example:
       mbcacq plan new --robot kr6_r900_2 --scanner gocator-3210 --artefact mbc-8
     """
-    from mbcacq.design.new_plan import NewPlanOptions
-    from mbcacq.model import shipped
-    from mbcacq.workflow.new_plan import new_plan
-
     wanted: dict[str, str] = {}
     for kind, given in (("robots", robot), ("scanners", scanner), ("artefacts", artefact)):
         choices = ", ".join(p.stem for p in sorted((shipped.folder() / kind).glob("*.yaml")))
         if given is None and not sys.stdin.isatty():
             raise ConfigError(f"the {kind[:-1]} is not given; add --{kind[:-1]} with a file or one of the tool's own: {choices}")
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
-    options = NewPlanOptions(driver, stations, count, seed, None if track is None else _ends(track))
+    options = mbcacq.NewPlanOptions(driver, stations, count, seed, None if track is None else _ends(track))
     with StepProgress() as steps:
-        made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=steps.printed)
+        made = mbcacq.new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=steps.printed)
     places = [str(s.id) for s in made.plan.stations]
     document = {"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}
     return Answer(document, then=("see what it can and cannot determine", command_line("plan", "check", out)))
@@ -87,21 +90,18 @@ def show(
     plan: Path = argument(PlanPath()), rrd: Path | None = option("Also draw it: the arm on its way, as a recording for rerun.")
 ) -> Answer:
     """Walk through PLAN: every pose with its joint angles, and the time it all takes."""
-    from mbcacq.plan import expand, load
     from mbcacq.plan.routing import find_paths
     from mbcacq.plan.summary import summary
 
-    loaded = load(plan)
+    loaded = plans.load(plan)
     with StepProgress("looking for postures that reach every pose") as steps:
-        poses = expand(loaded)
+        poses = plans.expand(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
         content = summary(loaded, poses, routes)
         if rrd is not None:
-            from mbcacq.recording.rrd.plan_recording import write_plan_recording
-
             steps.begin("drawing the arm on its path")
-            write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
+            plan_recording.write_plan_recording(loaded, poses, routes[0], [p["start_s"] for p in content["poses"]], rrd)
     lines = [_steps(content), *_poses(content), _time_sentence(content)]
     return Answer(content, lines, ("find what is wrong with it", command_line("plan", "check", plan)))
 
@@ -117,32 +117,29 @@ def check(
 
     Errors end with exit code 2.
     """
-    from mbcacq.acquisition.device_check import device_findings
-    from mbcacq.design.plan_findings import identifiability_findings, reach_findings, sentences
-    from mbcacq.plan import load
     from mbcacq.plan.expansion import expand_reachable
     from mbcacq.plan.feasibility import check
     from mbcacq.plan.findings import merged
     from mbcacq.plan.routing import find_paths
     from mbcacq.plan.summary import summary
 
-    loaded = load(plan)
+    loaded = plans.load(plan)
     if fix:
         loaded = _fixed(loaded, plan)
     with StepProgress("looking for postures that reach every pose") as steps:
         poses, _ = expand_reachable(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
-        findings, content = [*device_findings(loaded), *check(loaded, poses, routes)], summary(loaded, poses, routes)
+        findings, content = [*device_check.device_findings(loaded), *check(loaded, poses, routes)], summary(loaded, poses, routes)
         steps.begin("computing what the poses determine")
-        more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
+        more, accuracy, effects = ([], None, None) if quick else plan_findings.identifiability_findings(loaded, poses, content, routes)
         findings += more
-        findings += reach_findings(loaded)
+        findings += plan_findings.reach_findings(loaded)
     errors = sum(f.level == "error" for f in findings)
     content |= {"findings": [f.to_dict() for f in findings], "errors": errors}
     content |= {"prospect": accuracy and accuracy.to_dict(), "visibility": effects and effects.to_dict()}
     lines: list[Any] = [(f" {f}", (f.level, COLOURS[f.level])) for f in (findings if every else merged(findings))]
-    lines += sentences(accuracy, effects) if accuracy and effects else []
+    lines += plan_findings.sentences(accuracy, effects) if accuracy and effects else []
     lines += [_time_sentence(content), *map(_axis_sentence, content["axes"])]
     warnings = sum(f.level == "warning" for f in findings)
     lines.append(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
@@ -157,13 +154,9 @@ def check(
 
 def _fixed(loaded: Any, plan: Path) -> Any:
     """The plan with what is out of reach repaired, written where it was."""
-    from mbcacq.design.station_repair import repaired
-
-    fixed, said = repaired(loaded)
+    fixed, said = station_repair.repaired(loaded)
     if said:
-        from mbcacq.files.atomic_write import write_file
-
-        write_file(plan, fixed.text)
+        atomic_write.write_file(plan, fixed.text)
     for sentence in said or ["nothing is out of reach that --fix can change"]:
         echo(sentence, err=True)
     return fixed

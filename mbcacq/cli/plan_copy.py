@@ -7,6 +7,7 @@ from pathlib import Path
 from mbcacq.cli.declared import FOLDER, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
+from mbcacq.workflow import copy_plan
 
 
 @subcommand("copy")
@@ -19,9 +20,7 @@ def copy(
     Example:
       mbcacq plan copy kuka my-cell
     """
-    from mbcacq.workflow.copy_plan import copy_plan
-
-    written = copy_plan(name, folder, force=force)
+    written = copy_plan.copy_plan(name, folder, force=force)
     for path in written:
         echo(str(path))
     say_next("look at it, change what differs in your cell", command_line("plan", "check", written[0]))

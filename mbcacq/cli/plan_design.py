@@ -8,13 +8,18 @@ from typing import Any
 import click
 from rich.table import Table
 
+from mbcacq import plan as plans
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo, titled_table
+from mbcacq.design import excitation, optimal_design, part_coverage, plan_comparison, planned_scope, station_repair
+from mbcacq.design.adaptive import plan_order
 from mbcacq.errors import ConfigError
+from mbcacq.files import atomic_write, mesh_file
 from mbcacq.quantities import significant
+from mbcacq.workflow import load
 
 
 @subcommand("design")
@@ -69,30 +74,23 @@ def design(
         return design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force)
     if order:
         return order_plan(plan, count, out or plan.with_name(f"{plan.stem}_ordered.yaml"), tilt, seed, force)
-    from mbcacq.design.optimal_design import design
-    from mbcacq.design.plan_comparison import compare
-    from mbcacq.design.planned_scope import scope_sentence
-    from mbcacq.design.station_repair import repaired
-    from mbcacq.plan import expand, load
     from mbcacq.plan.expansion import expand_reachable
 
     if count is None:
         raise ConfigError("nothing is asked for; give --poses N for a plan, or --motion RECORDING for a motion")
     target = out or plan.with_name(f"{plan.stem}_designed.yaml")
     refuse_taken(target, force, beside=plan)
-    loaded, repairs = repaired(load(plan))
+    loaded, repairs = station_repair.repaired(plans.load(plan))
     for sentence in repairs:
         echo(sentence, err=True)
     with StepProgress("choosing views by what the calibration learns from them") as steps:
-        result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
-        from mbcacq.files.atomic_write import write_file
-
-        write_file(target, result.text)
-        new = load(target)
-        poses = expand(new)
+        result = optimal_design.design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
+        atomic_write.write_file(target, result.text)
+        new = plans.load(target)
+        poses = plans.expand(new)
         steps.begin("comparing both plans by simulated cells")
-        rows = compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
-    if sentence := scope_sentence(new, poses):
+        rows = plan_comparison.compare([(loaded, expand_reachable(loaded)[0]), (new, poses)], seed)
+    if sentence := planned_scope.scope_sentence(new, poses):
         echo(sentence, err=True)
     how = {"plan": str(target), "tried": result.tried, "criterion": criterion}
     return Answer(
@@ -104,32 +102,23 @@ def design(
 
 def refuse_taken(target: Path, force: bool, beside: Path | None = None) -> None:
     """Raise ConfigError where a file is there already, or does not lie beside the plan whose files it names."""
-    from mbcacq.workflow.load import refuse_existing
-
-    refuse_existing(target, force, f"{target} exists already; give another --out, or --force to replace it")
+    load.refuse_existing(target, force, f"{target} exists already; give another --out, or --force to replace it")
     if beside is not None and target.resolve().parent != beside.resolve().parent:
         raise ConfigError(f"{target}: a plan names its robot and artefacts relative to itself; put the new one beside {beside}")
 
 
 def write_whole(text: str, out: Path) -> None:
     """Write a plan, none of whose poses has an error."""
-    from mbcacq.files.atomic_write import write_file
-    from mbcacq.plan import expand, load, refuse_errors
-
-    new = load(out, text)
-    refuse_errors(new, expand(new))
-    write_file(out, text)
+    new = plans.load(out, text)
+    plans.refuse_errors(new, plans.expand(new))
+    atomic_write.write_file(out, text)
 
 
 def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Choose views of a part, write the plan, and say what they show."""
-    from mbcacq.design.part_coverage import design_part
-    from mbcacq.files.mesh_file import read_mesh
-    from mbcacq.plan import load
-
     refuse_taken(out, force, beside=plan)
     with StepProgress("choosing views by the surface that they show"):
-        found = design_part(load(plan), None if part == Path() else read_mesh(part), tilt, seed)
+        found = part_coverage.design_part(plans.load(plan), None if part == Path() else mesh_file.read_mesh(part), tilt, seed)
         write_whole(found.text, out)
     figures = {"views": found.views, "covered": found.covered, "visible": found.visible, "tried": found.tried}
     return Answer(
@@ -144,12 +133,9 @@ def cover_part(plan: Path, part: Path, out: Path, tilt: float, seed: int, force:
 
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool) -> Answer:
     """Order a plan, write it, and say what its blocks carry."""
-    from mbcacq.design.adaptive.plan_order import ordered
-    from mbcacq.plan import load
-
     refuse_taken(out, force, beside=plan)
     with StepProgress("leaving out what is missed least, pose by pose"):
-        found = ordered(load(plan), count, tilt, seed)
+        found = plan_order.ordered(plans.load(plan), count, tilt, seed)
         write_whole(found.text, out)
     ends = [sum(found.blocks[: k + 1]) for k in range(len(found.blocks))]
     shares = dict(zip(map(str, ends), found.shares, strict=True))
@@ -165,15 +151,9 @@ def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int,
 
 def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out: Path, seed: int, force: bool) -> Answer:
     """Design a motion, write its table, and say what it is expected to tell."""
-    from mbcacq.design.excitation import design_excitation
-    from mbcacq.plan import load
-    from mbcacq.workflow.load import load_trajectories
-
     refuse_taken(out, force)
-    found = design_excitation(load(plan), load_trajectories(*recordings), seconds, seed)
-    from mbcacq.files.atomic_write import write_file
-
-    write_file(out, found.table())
+    found = excitation.design_excitation(plans.load(plan), load.load_trajectories(*recordings), seconds, seed)
+    atomic_write.write_file(out, found.table())
     std = {name: {"before": float(b), "after": float(a)} for name, b, a in zip(found.names, found.before, found.after, strict=True)}
     correlation = {"before": dict(found.correlation_before), "after": dict(found.correlation_after)}
     table = titled_table("expected standard deviations", "parameter", "recorded", "with this motion", left=["parameter"])

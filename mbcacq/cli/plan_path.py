@@ -11,6 +11,7 @@ import click
 
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
+from mbcacq.model import shipped
 
 
 class PlanPath(click.Path):
@@ -21,8 +22,6 @@ class PlanPath(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from mbcacq.model import shipped
-
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
         is_path = str(value).startswith((f".{os.sep}", "./", ".."))  # pathlib drops the dot
@@ -43,8 +42,6 @@ class PlanPath(click.Path):
 
 def _near(missing: Path) -> Path | None:
     """The plan that is called almost the same: in the folder of the one that is missing, or of those that came with the tool."""
-    from mbcacq.model import shipped
-
     beside = {file.stem: file for file in missing.parent.glob("*.yaml")} if missing.parent.is_dir() else {}
     named = {name: Path(name) for name in shipped.plans()} | beside
     return next((named[name] for name in get_close_matches(missing.stem, named, 1, 0.7)), None)

@@ -7,11 +7,14 @@ from typing import Literal
 
 import click
 
+from mbcacq import plan as plans
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
+from mbcacq.recording.run_folder import progress
+from mbcacq.workflow import controller_files, robot_program
 
 LANGUAGES = ("krl", "rapid", "karel", "urscript", "vplus", "inform", "csv")
 
@@ -35,18 +38,14 @@ def program(
     Example:
       mbcacq plan program my-cell.yaml --for rapid --out program --wait key
     """
-    from mbcacq.plan import load
     from mbcacq.plan.programs import Trigger
-    from mbcacq.recording.run_folder.progress import poses_done
-    from mbcacq.workflow.controller_files import write
-    from mbcacq.workflow.robot_program import robot_program
 
     with StepProgress("checking every pose and every motion between them"):
-        loaded = load(plan)
+        loaded = plans.load(plan)
         trigger = Trigger(wait, output, exposure_s=loaded.plan.scanner.scan_time_s + 1.0 if exposure is None else exposure)
-        done = frozenset[int]() if resume is None else poses_done(resume)
-        files = robot_program(loaded, dialect, trigger=trigger, done=done)
-        written = write(files, out, replace)
+        done = frozenset[int]() if resume is None else progress.poses_done(resume)
+        files = robot_program.robot_program(loaded, dialect, trigger=trigger, done=done)
+        written = controller_files.write(files, out, replace)
     clouds, rest = ("clouds", ()) if resume is None else ("more-clouds", ("--resume", resume))
     return Answer(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},

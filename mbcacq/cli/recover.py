@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
@@ -12,9 +11,8 @@ from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import RecordingError
 from mbcacq.model.json_text import fields_as_json
-
-if TYPE_CHECKING:
-    from mbcacq.recording.run_folder.recovery import Recovered
+from mbcacq.recording.run_folder import check as folder_check
+from mbcacq.recording.run_folder import recovery, register
 
 
 @subcommand("recover")
@@ -30,24 +28,21 @@ def command(
     With --check nothing is written: each bit that changed since it was written is named by file, bytes and pose, and the command ends with
     exit code 6 if there is one.
     """
-    from mbcacq.recording.run_folder.recovery import recover
-    from mbcacq.recording.run_folder.register import RunKind, kind_of
-
     end_in_order_on_signals("the recovery")
     if check:
         return checked(recording)
     with StepProgress("reading what is whole"):
-        found = recover(recording)
+        found = recovery.recover(recording)
     recordings = [fields_as_json(item) | {"damaged": item.damaged} for item in found]
     then = "calibrate with what is there", command_line("calibrate", recording if recording.is_dir() else found[-1].output)
     if recording.is_dir() and not all(item.complete for item in found):
         then = "go on where the run ended", command_line("run", "--resume", recording)
-    elif recording.is_dir() and kind_of(recording) is RunKind.CHECK:
+    elif recording.is_dir() and register.kind_of(recording) is register.RunKind.CHECK:
         then = "read what the check said", command_line("report", recording)
     return Answer({"format": "mbcacq-recovery/1", "recordings": recordings}, map(line_of, found), then)
 
 
-def line_of(item: Recovered) -> str:
+def line_of(item: recovery.Recovered) -> str:
     content = f"{item.poses} finished poses, {item.cycles} controller cycles"
     end = "" if item.complete else "; the run did not come to its end"
     if item.damaged:
@@ -57,10 +52,8 @@ def line_of(item: Recovered) -> str:
 
 def checked(recording: Path) -> Answer:
     """What is not as it was written. Its end raises RecordingError if there is anything."""
-    from mbcacq.recording.run_folder.check import check
-
     with StepProgress("comparing the recording with its checksums"):
-        found = check(recording)
+        found = folder_check.check(recording)
     lines = []
     for file in found:
         unverified = f", {file.unverified} of them without a checksum" if file.unverified else ""

@@ -8,6 +8,7 @@ from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
+from mbcacq.workflow.report import report_and_next
 
 
 @subcommand("report")
@@ -33,8 +34,6 @@ def command(
         out = run / "report.pdf"
     if pdf and out is not None and out.suffix.lower() != ".pdf":
         raise ConfigError(f"{out} does not end in .pdf, as --pdf asks for; give another --out")
-    from mbcacq.workflow.report import report_and_next
-
     with StepProgress() as progress:
         path, then = report_and_next(run, out, with_diagnosis, progress)
     document = {"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}

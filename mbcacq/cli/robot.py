@@ -12,6 +12,7 @@ from mbcacq.cli.next_step import command_line
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model import robot_import
 from mbcacq.quantities import significant
 
 
@@ -44,13 +45,11 @@ def import_(
       mbcacq robot import ur.xacro --arg ur_type=ur10e --package ur=../ur
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
-    from mbcacq.model.robot_import import import_robot
-
     folders = {key: Path(value) for key, value in _pairs("--package", packages).items()}
     given = _pairs("--arg", arguments)
 
     def read(base: str | None, flange: str | None):
-        return import_robot(
+        return robot_import.import_robot(
             file,
             base=base,
             flange=flange,

@@ -18,6 +18,8 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import printable
+from mbcacq.recording.run_folder import run_plan
+from mbcacq.workflow import next_plan
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -79,14 +81,11 @@ def command(
 
 def plan_of(resume: Path | None) -> Path | LoadedPlan:
     """The plan of the run to go on with; if it has grown, the plan that its folder keeps. Raises UsageError where none is given."""
-    from mbcacq.recording.run_folder.run_plan import plan_of_run, read_kept_plan
-    from mbcacq.workflow.next_plan import plan_of_recording
-
     if resume is None:
         raise click.UsageError("Missing argument 'PLAN': a plan file, or one of those that came with mbcacq, such as kuka.")
-    if resume.is_dir() and read_kept_plan(resume).grown_from is not None:
-        return plan_of_recording(resume)
-    return plan_of_run(resume)
+    if resume.is_dir() and run_plan.read_kept_plan(resume).grown_from is not None:
+        return next_plan.plan_of_recording(resume)
+    return run_plan.plan_of_run(resume)
 
 
 def ask_whether_moved(station: str) -> bool:

@@ -9,6 +9,10 @@ from typing import Any
 import click
 
 from mbcacq.errors import ConfigError, command_line, nearest
+from mbcacq.files import atomic_write
+from mbcacq.recording.run_folder import latest, register
+from mbcacq.report.sources import run_folder
+from mbcacq.workflow import load
 
 
 class RunPath(click.Path):
@@ -23,20 +27,16 @@ class RunPath(click.Path):
         self._kinds, self._checks_too, self._every_kind = kinds, checks_too, every_kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from mbcacq.files.atomic_write import INCOMPLETE, finish_set
-        from mbcacq.recording.run_folder.latest import named_run
-        from mbcacq.recording.run_folder.register import CALIBRATED_FROM, RunKind, refuse_other_kind
-
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
-        kinds = frozenset(RunKind if self._every_kind else map(RunKind, self._kinds)) or CALIBRATED_FROM
-        run = named_run(path, kinds)
+        kinds = frozenset(register.RunKind if self._every_kind else map(register.RunKind, self._kinds)) or register.CALIBRATED_FROM
+        run = latest.named_run(path, kinds)
         if not os.path.lexists(run) and (meant := nearest(run.name, ["latest", *(one.name for one in run.parent.glob("*"))])):
             raise ConfigError(f"{run} does not exist{meant}")
-        refuse_other_kind(run, kinds | {RunKind.CHECK} if self._checks_too else kinds)
+        register.refuse_other_kind(run, kinds | {register.RunKind.CHECK} if self._checks_too else kinds)
         folder = run if run.is_dir() else run.parent
-        if (folder / INCOMPLETE).exists():
-            finish_set(folder)
+        if (folder / atomic_write.INCOMPLETE).exists():
+            atomic_write.finish_set(folder)
         return run
 
 
@@ -51,10 +51,7 @@ def judge_first(result: Path) -> tuple[str, str]:
 
 def folder_of(result: Path) -> Path | None:
     """The folder that a report of a result can be made of; None for a result.json that lies by itself."""
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS
-    from mbcacq.workflow.load import is_run_folder
-
     folder = result if result.is_dir() else result.parent
-    if folder.name == WITH_EFFECTS and (folder.parent / "result.json").exists():
+    if folder.name == run_folder.WITH_EFFECTS and (folder.parent / "result.json").exists():
         folder = folder.parent
-    return folder if result.is_dir() or is_run_folder(folder) else None
+    return folder if result.is_dir() or load.is_run_folder(folder) else None

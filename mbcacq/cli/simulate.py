@@ -10,6 +10,8 @@ from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
+from mbcacq.recording.datasets import observation_set, trajectory_set
+from mbcacq.workflow import simulate
 
 
 @subcommand("simulate")
@@ -32,12 +34,9 @@ def command(
       mbcacq simulate plans/kuka.yaml --cell runs/today --noise --out twin/
       mbcacq simulate recorded-motion/ --out twin/           a rigid arm, moving
     """
-    from mbcacq.recording.datasets.observation_set import write_observation_set
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
-
     if (out / "cell.yaml").exists() and not force:
         raise ConfigError(f"{out} already holds an observation set; give another --out, or --force to replace it")
-    if is_trajectory_set(plan):
+    if trajectory_set.is_trajectory_set(plan):
         if result is not None or noise:
             raise ConfigError(f"{plan} is a trajectory set: --cell and --noise are for plans; leave them out")
         with StepProgress("computing what would be recorded"):
@@ -47,7 +46,7 @@ def command(
         return Answer(document, [f"{samples} samples written to {out}"], then)
     with StepProgress("computing what would be recorded"):
         observations = mbcacq.simulate(plan, result, noise=noise, seed=seed)
-        write_observation_set(observations, out)
+        observation_set.write_observation_set(observations, out)
     poses, centres = observations.n_poses, observations.n_centres
     document = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
     then = "calibrate with it as with a recording", command_line("calibrate", out)
@@ -56,10 +55,7 @@ def command(
 
 def write_motion(trajectory: Path, out: Path) -> int:
     """Write what an ideal arm would have recorded along the motion of a trajectory set; the number of samples."""
-    from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
-    from mbcacq.workflow.simulate import simulate_motion
-
     (recorded,) = mbcacq.load_trajectories(trajectory)
-    motion = simulate_motion(recorded)
-    write_trajectory_set(motion, out)
+    motion = simulate.simulate_motion(recorded)
+    trajectory_set.write_trajectory_set(motion, out)
     return len(motion.time_s)

@@ -8,6 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from mbcacq.calibration.clock_term import clock_sentence
+from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_io import ONE_VIEW, axes_of, noise_of_a_view, of_flange_poses
 from mbcacq.calibration.verification import beyond_expected
 from mbcacq.cli.terminal import titled_table
@@ -33,6 +34,8 @@ from mbcacq.quantities import (
 )
 from mbcacq.report import judged
 from mbcacq.report.sources.images import camera_rows, image_rows
+from mbcacq.report.verdict import expected_accuracy
+from mbcacq.workflow.effects import remarks_on_names
 
 
 def parameters(result: dict[str, Any]) -> Table:
@@ -51,8 +54,6 @@ def effects(result: dict[str, Any]) -> list[str]:
     terms = (result.get("effects") or {}).get("terms", ())
     if not terms:
         return []
-    from mbcacq.workflow.effects import remarks_on_names
-
     out = ["Effects, with the cell (coefficient ± U, k = 2; orders, moments and time constants held):"]
     for t in terms:
         if t["name"] != "unknown":
@@ -147,8 +148,6 @@ def hand_eye(result: dict[str, Any]) -> Table:
 
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
-    from mbcacq.report.verdict import expected_accuracy
-
     fitted, noise = result["fit"], result["noise"]
     chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
@@ -363,8 +362,6 @@ def judgement(result: dict[str, Any]) -> list[str]:
 
 def arm_improved(result: dict[str, Any]) -> list[str]:
     """What corrected targets changed, of a run that a calibrated arm steered."""
-    from mbcacq.calibration.place_errors import ArmImprovement
-
     return [from_fields(ArmImprovement, result["arm_improved"]).text] if result.get("arm_improved") else []
 
 

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mbcacq
+from mbcacq.calibration import result_io
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
+from mbcacq.workflow import load
 
 if TYPE_CHECKING:
     from mbcacq.calibration.transfer import Transfer
@@ -38,20 +40,17 @@ def command(
 
     Example: mbcacq verify result.json another-day --place fitted
     """
-    from mbcacq.calibration.result_io import note_trials, read_result, split_number
-    from mbcacq.workflow.load import unsealed_note
-
     found = []
     with StepProgress() as steps:
         for number, path in enumerate(other, 1):
             steps.begin(f"trying the result on recording {number} of {len(other)}")
             found.append(mbcacq.verify_elsewhere(path, result, place=place))
     judged = {str(path): one for path, one in zip(other, found, strict=True) if one.verdict != "none"}
-    learnt = read_result(result, any_of_them=True)
-    warnings = [*unsealed_note(result), *map(str, learnt.get("warnings") or ())]
-    if judged and split_number(result)[1] is None:
+    learnt = result_io.read_result(result, any_of_them=True)
+    warnings = [*load.unsealed_note(result), *map(str, learnt.get("warnings") or ())]
+    if judged and result_io.split_number(result)[1] is None:
         try:
-            note_trials(result, {name: one.judgement for name, one in judged.items()})
+            result_io.note_trials(result, {name: one.judgement for name, one in judged.items()})
         except ConfigError as error:
             warnings = [*warnings, f"the verdict is not noted in the result: {error}"]
     document = {"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}
@@ -60,10 +59,8 @@ def command(
 
 def _next(result: Path, judged: Mapping[str, Transfer]) -> tuple[str, str]:
     """What to do after the trial, and the command for it."""
-    from mbcacq.calibration.result_io import of_flange_poses, read_result
-
     against = next((name for name, one in judged.items() if one.verdict == "contradicts"), None)
     if against is None:
         return put_to_use(result)
-    alone = ("--hand-eye-only",) if of_flange_poses(read_result(result)) else ()
+    alone = ("--hand-eye-only",) if result_io.of_flange_poses(result_io.read_result(result)) else ()
     return "see what that recording says by itself, before either result is used", command_line("calibrate", against, *alone)

@@ -11,6 +11,9 @@ from mbcacq.cli.signals import end_in_order_on_signals
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.recording.rrd import layout, reader
+from mbcacq.recording.viewer import open_viewer
+from mbcacq.workflow import load
 
 
 @subcommand("view")
@@ -33,8 +36,6 @@ def command(
 
     The viewer is started so that it reports no usage and looks for no update.
     """
-    from mbcacq.recording.viewer import open_viewer
-
     end_in_order_on_signals("the viewer")
     sources = open_viewer.files(run)
     if screenshot is None:
@@ -53,16 +54,12 @@ def command(
 
 def say_next_after(shown: Path) -> None:
     """What to do after a look at a recording; nothing where it is of a result or a diagnosis by itself, or of another program."""
-    from mbcacq.recording.rrd import layout
-    from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.workflow.load import is_run_folder
-
     folder = shown if shown.is_dir() else shown.parent
-    if is_run_folder(folder) and (shown.is_dir() or shown.name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)):
+    if load.is_run_folder(folder) and (shown.is_dir() or shown.name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)):
         say_next("read the figures", command_line("report", folder))
         return
     try:
-        measured = next(iter(Recording(shown).rows(layout.OBSERVATION)), None)
+        measured = next(iter(reader.Recording(shown).rows(layout.OBSERVATION)), None)
     except RecordingError:
         return
     if measured is not None:

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import kept_model, predicting_better, with_groups_everywhere
 from mbcacq.diagnosis.output.notes import noise_in_words
-from mbcacq.diagnosis.output.over_whole_range import with_unfinished_periods_as_functions
+from mbcacq.diagnosis.output.over_whole_range import with_open_laws_as_functions
 from mbcacq.diagnosis.problem import DiagnosisProblem, determined, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -84,7 +84,7 @@ def diagnose(
         validation = validated(full, again, begins)
         kept, left_out = predicting_better(kept, full, validation)
         if not full.everywhere:
-            kept = with_unfinished_periods_as_functions(problem.linear.obs, kept)
+            kept = with_open_laws_as_functions(problem.linear.obs, kept, full.evidence)
         refitting.begin(kept)
         parts = repetitions(full, halves)
 

@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
+from mbcacq.acquisition.cell_devices import create_devices
+from mbcacq.acquisition.device_check import device_findings
 from mbcacq.devices import ConfigError, Device, MbcacqError, Sensor
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.doctor.line import CheckupLine, from_error
@@ -16,9 +18,6 @@ if TYPE_CHECKING:
 
 
 def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
-    from mbcacq.acquisition.cell_devices import create_devices
-    from mbcacq.acquisition.device_check import device_findings
-
     impossible = [from_error("devices", ConfigError(str(found))) for found in device_findings(loaded)]
     if impossible:
         yield from impossible

@@ -68,15 +68,17 @@ def read_cloud_file(path: str | Path) -> CloudFile:
     points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
     if points.dtype not in (np.float32, np.float64):
         points = points.astype(np.float64)
-    none = np.isnan(points).all(axis=1)
-    if not np.isfinite(points[~none]).all():
-        number = int(np.flatnonzero(~none & ~np.isfinite(points).all(axis=1))[0])
-        raise ConfigError(f"{path}: point {number + 1} has a coordinate that is no finite number; export the cloud anew")
-    if none.all():
+    there = np.full(len(points), True)
+    if not (finite := np.isfinite(points)).all():
+        there = ~np.isnan(points).all(axis=1)
+        if len(wrong := np.flatnonzero(there & ~finite.all(axis=1))):
+            raise ConfigError(f"{path}: point {wrong[0] + 1} has a coordinate that is no finite number; export the cloud anew")
+        points, columns = points[there], {name: values[there] for name, values in columns.items()}
+    if not len(points):
         raise ConfigError(f"{path}: holds no points; export the cloud anew")
     unit = stated_unit("\n".join(line for line in header if not line.startswith("VIEWPOINT")), str(path))
     moved = any(line.startswith("VIEWPOINT") and _moved(line.split()[1:]) for line in header)
-    return CloudFile(points[~none], {name: values[~none] for name, values in columns.items()}, int(none.sum()), unit, moved)
+    return CloudFile(points, columns, int((~there).sum()), unit, moved)
 
 
 def mm_per(unit: str) -> float:
@@ -160,7 +162,7 @@ def _ply(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
         file.seek(offset)
         data = file.read(dtype.itemsize * vertex.count)
     rows = np.frombuffer(data, dtype)
-    return {name: rows[name].astype(rows[name].dtype.newbyteorder("=")) for name in names}, header.comments
+    return {name: rows[name].astype(rows[name].dtype.newbyteorder("="), copy=False) for name in names}, header.comments
 
 
 def _row_type(element: PlyElement, order: str) -> np.dtype:
@@ -281,7 +283,7 @@ def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], cou
         if len(data) not in (size, size + 1):
             raise ConfigError(f"{path}: has {len(data)} bytes of points where its header announces {size}; copy it anew")
         rows = np.frombuffer(data[:size], np.dtype([(name, t.newbyteorder("<")) for name, t in fields]))
-        return {name: rows[name].astype(t) for name, t in fields}
+        return {name: rows[name].astype(t, copy=False) for name, t in fields}
     length, announced = np.frombuffer(data[:8], "<u4").tolist() if len(data) >= 8 else (0, -1)
     if announced != size or len(data) < 8 + length:
         raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")

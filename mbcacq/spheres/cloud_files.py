@@ -76,7 +76,8 @@ def read_points(path: str | Path, form: CloudFormat | None = None) -> np.ndarray
         raise ConfigError(f"{path}: {'is empty' if size == 0 else f'{size / 2**30:.1f} GiB are too much for one cloud'}; save it anew")
     points, stated = _read(path, suffix, form)
     to_mm = form.matrix(stated)
-    points = points[np.isfinite(points).all(axis=1)]
+    if not (finite := np.isfinite(points)).all():
+        points = points[finite.all(axis=1)]
     if not len(points):
         raise ConfigError(f"{path}: holds no points; save the cloud anew")
     return points if np.array_equal(to_mm, np.eye(3)) else points @ to_mm.T.astype(points.dtype)

@@ -1,6 +1,7 @@
 """What was learnt has a range: beyond it a named effect is a constant, an unmodelled one is less and less known, and nothing gets worse."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mbcacq.calibration.calibrate import calibrate, calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.output.kept_model import term_of
+from mbcacq.diagnosis.output.over_whole_range import with_open_laws_as_functions
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
@@ -147,6 +149,19 @@ def test_the_spring_of_a_balancer_pulls_by_its_levers_wherever_the_arm_is(third)
     outside = term.ranges["q2"].outside("q2", there.q[:, 1])
     stated = np.linalg.norm(beyond.parts[0].basis * beyond.sigma, axis=1)
     assert stated[~outside].max() < stated[outside].min()
+
+
+@pytest.mark.parametrize(("log_odds", "goes_on"), [(-1.0, False), (-5.0, True)])
+def test_a_balancer_that_a_function_without_a_name_may_replace_has_no_law_elsewhere(third, log_odds, goes_on):
+    here, _ = third
+    spring = next(c for c in prepare(here).candidates if c.name == "gravity_compensator")
+    kept = EffectModel(here.cell.robot, (term_of(Covariates(here), spring, 0.15, np.array([1e-3, 0.0, 0.0]), np.full(3, 1e-5)),))
+    named, general = (SimpleNamespace(labels={f"{name}:A2"}, members=()) for name in ("gravity_compensator", "unknown"))
+    named.log_posterior, general.log_posterior = 0.0, log_odds
+    fit = SimpleNamespace(best=named, hypotheses=(named, general))
+    terms = with_open_laws_as_functions(here, kept, fit).terms
+    assert {t.name for t in terms} == ({"gravity_compensator"} if goes_on else {"unknown"})
+    assert {t.depends_on for t in terms} == {"q2"}
 
 
 @pytest.mark.parametrize(

@@ -23,12 +23,16 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import check, make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
+from mbcacq_fakes.protocols.bus.line_for import fill, names, template
+from mbcacq_fakes.protocols.bus.serial_line import SerialLine
+from mbcacq_fakes.protocols.folder import FakeScannerProgram
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.stall import HANGING_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
-from mbcacq_fakes.world.line_camera import LineCamera
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
 from mbcacq_fakes.world.scanner import Optics
@@ -127,8 +131,6 @@ class Servers:
 
     def _start_program(self) -> dict[str, Any]:
         """The scanner's own program, with a folder of its own."""
-        from mbcacq_fakes.protocols.folder import FakeScannerProgram
-
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
         given = self._job["scanner_options"].get("trigger") or {}
         output, state = given.get("output") if self._job["outputs"] else None, self._state
@@ -141,14 +143,14 @@ class Servers:
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
-        line = LineCamera(self._camera, self._state) if settings["profiles"] else None
-        if self._job["scanner_driver"] == "gopxl":
-            from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
+        line = None
+        if settings["profiles"]:
+            from mbcacq_fakes.world.line_camera import LineCamera
 
+            line = LineCamera(self._camera, self._state)
+        if self._job["scanner_driver"] == "gopxl":
             _refuse_unknown(given, FakeGoPxLOptions)
             return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), lambda: 0.0, line)
-        from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
-
         _refuse_unknown(given, FakeGocatorOptions)
         return FakeGocator(self._camera, FakeGocatorOptions(**settings), line)
 
@@ -228,9 +230,6 @@ class Servers:
 
     def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.serial import SerialOptions
-
-        from mbcacq_fakes.protocols.bus.line_for import fill, names, template
-        from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 
         options = parse_options(SerialOptions, "the serial sensor", given)
         answers = {}

@@ -10,14 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
+from mbcacq.diagnosis.evidence.posterior import relative_odds, reported_hypothesis
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
+from mbcacq.effects.effect import label_of
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import SMOOTH, EffectTerm
+from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, cosine, sine
 from mbcacq.effects.learnt_range import is_angle
-from mbcacq.effects.unmodelled import OPTIONS
+from mbcacq.effects.unmodelled import OPTIONS as GROUPS
 from mbcacq.model.observations import Observations
 
 LENGTHS = (0.4, 0.8, 1.6)  # rad, or of the largest moment: from a local bump to a quarter of a turn
@@ -49,7 +53,7 @@ def over_whole_range(here: Covariates, t: EffectTerm) -> list[EffectTerm]:
         process = Process(t.depends_on, ((name, low - away, high + away),), length, unit)
         several["length", length] = process.functions(MOST_FUNCTIONS)
     if is_angle(name):
-        orders = np.arange(1.0, OPTIONS.few_order + 1)
+        orders = np.arange(1.0, GROUPS.few_order + 1)
         columns = (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders))
         several["turn", TURN] = columns, np.tile((1 + (TURN * orders) ** 2 / 5) ** -1.5, 2)
     out = list[EffectTerm]()
@@ -60,13 +64,16 @@ def over_whole_range(here: Covariates, t: EffectTerm) -> list[EffectTerm]:
     return out
 
 
-def with_unfinished_periods_as_functions(obs: Observations, kept: EffectModel) -> EffectModel:
-    """The model with a function of the joint's angle in the place of each periodic error of which less than a period was seen: nothing
-    says that it repeats beyond."""
-    here, terms = Covariates(obs), dict[str, EffectTerm]()
+def with_open_laws_as_functions(obs: Observations, kept: EffectModel, fit: EvidenceFit) -> EffectModel:
+    """The model with a function of the joint's angle in the place of each law that nothing says to hold beyond the recording: a periodic
+    error of which less than a period was seen, and a mechanism beside which the evidence does not exclude a function without a name."""
+    here, terms, reported = Covariates(obs), dict[str, EffectTerm](), reported_hypothesis(fit)
+    likely = [h for h in fit.hypotheses if relative_odds(h, reported) > OPTIONS.undecided]
     for t in kept.terms:
+        label, general = (label_of(name, t.where) for name in (t.name, UNKNOWN))
         unfinished = t.periodic_in_own_angle and t.depends_on in t.clamped
-        terms |= {one.key: one for one in (over_whole_range(here, t) if unfinished else [t])}
+        unnamed = any(map(is_angle, t.laws)) and any(general in h.labels and label not in h.labels for h in likely)
+        terms |= {one.key: one for one in (over_whole_range(here, t) if unfinished or unnamed else [t])}
     return replace(kept, terms=tuple(terms.values()))
 
 

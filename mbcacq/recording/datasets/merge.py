@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import in_seconds
@@ -180,6 +179,8 @@ def _vertex(y: np.ndarray, at: int) -> float:
 
 def standstills(t: np.ndarray, value: np.ndarray, within: float, still: RestRule) -> list[tuple[float, float]]:
     """Begin and end (s) of the stretches in which each column of value (T, k) stays within a range, without their settling."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     rows = max(int(np.ceil(still.seconds / np.median(np.diff(t)))), 2)
     low, high = (of(value, rows, axis=0, mode="nearest") for of in (minimum_filter1d, maximum_filter1d))
     calm = maximum_filter1d(((high - low).max(axis=1) <= within).astype(np.int8), rows)
