@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from mbcacq.estimation.forward_model import CellState, hand_eye_of_poses
 from mbcacq.geometry import se3
@@ -44,8 +45,6 @@ def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
     With the target at its first guess p, ``p.p - L L = 2 p.a - 2 L o + (o o - a.a)`` is linear in the place a of each instrument, its
     offset o and a constant; from there by robust least squares, the target's place included.
     """
-    from scipy.optimize import least_squares
-
     T, L, station = T_base_flange[obs.pose], obs.xyz[:, 0], obs.station[obs.pose]
     target, places = obs.cell.T_flange_scanner.copy(), np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     p = se3.apply(T, np.tile(target[:3, 3], (len(L), 1)))

@@ -19,6 +19,7 @@ from mbcacq.model.json_text import Matrix, Vector, as_list, damage, digest, from
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.quantities import DEGREE
+from mbcacq.recording.run_folder.run_plan import read_kept_plan
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.load import as_cell, is_run_folder, load_observations
 
@@ -132,8 +133,6 @@ def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
 
 def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None:
     """Before and after, where a calibrated arm steered the run of this folder; None if it did not, or the recording cannot show it."""
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan
-
     kept = read_kept_plan(folder).corrected
     return None if kept is None else read_targets(kept).improvement(obs)
 
@@ -141,8 +140,6 @@ def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None
 def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTargets | None:
     """The corrected targets of a run that goes on: those it began with, as its folder or its recordings hold them. given: by this call.
     Raises ConfigError if the two do not belong into one recording."""
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan
-
     kept = read_kept_plan(folder)
     before = None if kept.corrected is None else read_targets(kept.corrected)
     if given is None or kept.files is None:  # lost in the folder and in its recordings: taken to be as in this run

@@ -18,10 +18,13 @@ from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
+from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.recovery import WHOLE
 from mbcacq.report import write_report_page
 from mbcacq.report.cards import verdict_card
 from mbcacq.report.content import Content
+from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import as_observations
@@ -96,16 +99,11 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
     The plan's phases and stations decide the parameters that are calibrated (``options_for``). limit_mm: the plan's limit of the sphere
     spacing error. progress: gets a sentence a step.
     """
-    from mbcacq.recording.rrd.reader import opened_once
-
     with opened_once():
         return _evaluated(run, limit_mm, progress)
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
-    from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report.sources.from_result import content_of
-
     progress("reading the recording")
     observations = as_observations(run)
     progress("calibrating and verifying")

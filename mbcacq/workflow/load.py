@@ -14,6 +14,7 @@ from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory, moves
 from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
 from mbcacq.recording.rrd import layout
 from mbcacq.workflow.part_scenes import scenes_as_observations
 
@@ -63,8 +64,6 @@ def load_trajectories(*paths: Path | str) -> list[Trajectory]:
     ConfigError
         A path holds no trajectory, or its content has a fault.
     """
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
-
     found: list[Trajectory] = []
     for path in map(Path, paths):
         if is_trajectory_set(path):

@@ -15,8 +15,10 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.result_json import load_result
 from mbcacq.model.observations import Observations
+from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.latest import refuse_plan
+from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.report import report_from_result, write_check_page
 from mbcacq.report.sources.check_result import read_check_result
@@ -58,9 +60,6 @@ def write_report(
     RecordingError
         The file cannot be written, or another process writes in the run folder.
     """
-    from mbcacq.recording.rrd.reader import opened_once
-    from mbcacq.recording.run_folder.lock import write_lock
-
     run = None if isinstance(data, CalibratedCell) else Path(data)
     if out is None and run is None:
         raise ConfigError("a calibration has no folder; say where the report is to go")

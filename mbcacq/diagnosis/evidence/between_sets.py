@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -225,8 +226,6 @@ def orders_matched(other: Parameters, own: Parameters) -> Parameters:
 
     Sets list the orders of a gear as they found them: without this, one order would be averaged with another.
     """
-    from scipy.optimize import linear_sum_assignment
-
     key = next((key for key in own if key.endswith(ORDERS)), None)
     if key is None or key not in other:
         return other
