@@ -83,7 +83,9 @@ def changed(cell: Cell, day: int, what: dict[str, object]) -> None:
 
 def interrupted(cell: Cell, day: int) -> None:
     journal = cell.desk / "runs" / "interrupted" / "journal.jsonl"
-    code, _ = cell.type(day, f"{RUN} --out runs/interrupted", until=lambda: journal.exists() and journal.read_text().count("pose_done") > 30)
+    code, _ = cell.type(
+        day, f"{RUN} --out runs/interrupted", until=lambda: journal.exists() and journal.read_text().count("pose_done") > 30
+    )
     assert code != 0, "Ctrl-C stops a run"
     assert cell.type(day, "mbcacq run --resume runs/interrupted --dry-run")[0] == 0
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from mbcacq.devices.installed import Installed, survey
 from mbcacq.doctor.line import CheckupLine, Level, from_error
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan
 
 
 def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
