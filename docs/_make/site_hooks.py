@@ -15,6 +15,8 @@ from command_line import command_line  # noqa: E402
 from error_catalogue import error_catalogue  # noqa: E402
 from plan_schema import plan_schema  # noqa: E402
 
+import mbcacq  # noqa: E402
+
 REFERENCE = {"command-line.md": command_line, "plan-schema.md": plan_schema, "errors.md": error_catalogue}
 SHIM = '<script src="https://unpkg.com/iframe-worker/shim"></script>'  # the theme's, fetched from outside
 # What the theme lacks for a screen reader: a name of the search, no empty heads of columns.
@@ -53,7 +55,10 @@ def _with_own_script(output: str, root: str) -> str:
 
 
 def on_page_markdown(markdown: str, page, config, files: Files) -> str:
-    """Links from one of the two folders to the other, as they stand in the checkout, become links within the site."""
+    """Links from one of the two folders to the other, as they stand in the checkout, become links within the site. The page of the library
+    names its members: they are imported when they are first used, which a reader of the source alone does not see."""
+    if page.file.src_uri == "reference/python.md":
+        markdown = markdown.replace("    options:\n", f"    options:\n      members: {sorted(mbcacq.__all__)}\n", 1)
     depth = len(PurePosixPath(page.file.src_uri).parents) - 1
     up = "../" * depth
 

@@ -56,10 +56,8 @@ def load_driver(kind: str, name: str) -> type:
 
 def cure_of(point: EntryPoint, error: Exception) -> str:
     """What to install: the extra of the driver's package that brings the missing module, where there is one."""
-    if not isinstance(error, ImportError):
-        return "reinstall its package"
-    if point.dist is None:
-        return "install what it needs"
+    if not isinstance(error, ImportError) or point.dist is None:
+        return "reinstall its package, with what it needs"
     name = re.escape(error.name or " ")
     for line in point.dist.requires or ():
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", line)
