@@ -10,13 +10,13 @@ from mbcacq.plan import LoadedPlan
 
 
 def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
+    """A line for each driver that cannot be used, and one of the others. Without a plan it is a warning: no run fails for it yet."""
     wanted = None if loaded is None else _named(loaded)
     good: list[Installed] = []
     for driver in survey():
         if wanted is not None and (driver.kind, driver.name) not in wanted:
             continue
         if driver.problem:
-            # What no plan names yet keeps no run from succeeding.
             level: Level = "warning" if wanted is None else "error"
             yield from_error(f"driver {driver.name}", f"{driver.kind}: {driver.problem}", level)
         else:

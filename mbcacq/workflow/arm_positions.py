@@ -15,15 +15,12 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
-from mbcacq.model.yaml_source import parse
-from mbcacq.plan.controller_joints import matrix_of, of_the_model
+from mbcacq.plan.controller_joints import of_the_model
 from mbcacq.plan.plausibility import looks_like_radians
-from mbcacq.plan.schema import ControllerJoints
 from mbcacq.quantities import from_degrees, in_degrees
 from mbcacq.recording.datasets.columns import flange_group, joint_angles, joint_columns, names_poses
 from mbcacq.recording.datasets.loose_table import TableOptions, directed, in_units
 from mbcacq.recording.datasets.pose_columns import named_convention
-from mbcacq.recording.run_folder.run_plan import PLAN
 
 MAKERS = "kuka, fanuc, abb, ur, yaskawa, staubli or others, or axes such as ZYX"
 
@@ -43,23 +40,6 @@ def typed_joints(text: str, result: Mapping[str, Any]) -> ArmPosition:
     if limits and (sentence := looks_like_radians(angles_deg, np.array(limits, dtype=float))):
         raise ConfigError(f"--joints: {sentence}")
     return ArmPosition(_of_the_model(np.array(angles_deg), result, "--joints"))
-
-
-def counted_joints(run: Path, n: int) -> dict[str, Any]:
-    """'controller_joints' of a result: how the controller of an arm with n axes counts them, as the plan kept in a run folder states it.
-
-    matrix: (n, n); offset_deg: (n,), so that angles = matrix q + offset. Empty where the model counts alike, or ``run`` keeps no plan.
-    """
-    try:
-        text = (run / PLAN).read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        return {}
-    robot = parse(text, run / PLAN).data.get("robot")
-    stated = robot.get("controller_joints") if isinstance(robot, Mapping) else None
-    if not stated:
-        return {}
-    A, offset = matrix_of(ControllerJoints.model_validate(stated), n, ConfigError)
-    return {"controller_joints": {"matrix": A.tolist(), "offset_deg": offset.tolist()}}
 
 
 def _of_the_model(positions: np.ndarray, result: Mapping[str, Any], where: str) -> np.ndarray:

@@ -30,9 +30,8 @@ from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.gaps import find_gaps
-from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.effects import Effects, as_effects
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, counted_joints
 
 MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one

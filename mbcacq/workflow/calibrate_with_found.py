@@ -20,10 +20,10 @@ from mbcacq.quantities import fixed
 from mbcacq.report.charts.spacing_svg import stages_picture
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_kept_findings
-from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.evaluate import show_in_viewer
+from mbcacq.workflow.load import counted_joints
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,8 @@ from mbcacq.report.cards import verdict_card
 from mbcacq.report.content import Content
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
-from mbcacq.workflow.arm_positions import counted_joints
 from mbcacq.workflow.corrected_targets import improvement_of_run
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, counted_joints
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -21,7 +21,8 @@ from mbcacq.model.cell import Artefact, Cell, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import uncertainty
 from mbcacq.recording.datasets.cell_yaml import robot_of
-from mbcacq.workflow.arm_positions import counted_joints, typed_joints
+from mbcacq.workflow.arm_positions import typed_joints
+from mbcacq.workflow.load import counted_joints
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])
