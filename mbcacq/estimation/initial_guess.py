@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from mbcacq.estimation.forward_model import CellState, hand_eye_of_poses
 from mbcacq.geometry import se3
@@ -58,6 +57,8 @@ def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
     def missed(x: np.ndarray) -> np.ndarray:
         away = se3.apply(T, np.tile(x[:3], (len(L), 1))) - x[4:].reshape(-1, 3)[station]
         return np.linalg.norm(away, axis=1) + x[3] - L
+
+    from scipy.optimize import least_squares  # 90 modules, that a run never needs
 
     found = least_squares(missed, np.r_[target[:3, 3], 0.0, places[:, :3, 3].ravel()], loss="soft_l1", x_scale="jac", max_nfev=200).x
     target[:3, 3], places[:, :3, 3] = found[:3], found[4:].reshape(-1, 3)

@@ -23,6 +23,7 @@ from mbcacq.report.sources.run_folder import read_kept_findings
 from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.evaluate import show_in_viewer
+from mbcacq.workflow.load import counted_joints
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class CalibratedWithFound:
     def text(self) -> str:
         """A sentence with the errors of the stages."""
         if not self.places:
-            return "There are no verification poses: nothing says how good the calibration is."
+            return "There are no verification poses: no certified length says how good the calibration is."
         figures = ", ".join(
             f"{name} {fixed(np.abs(errors).mean())} mm (largest {fixed(np.abs(errors).max())} mm)" for name, errors in self.stages.items()
         )
@@ -70,7 +71,7 @@ class CalibratedWithFound:
     def write(self, folder: Path) -> list[Path]:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError if that is impossible, also
         where the folder is a link that leads out of the one above it."""
-        files = {"result.json": sealed_text(self.result())}
+        files = {"result.json": sealed_text(self.result() | counted_joints(folder.parent, self.geometry.nominal.n))}
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         return write_files(folder.parent, {f"{folder.name}/{name}": content for name, content in files.items()})

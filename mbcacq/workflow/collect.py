@@ -117,7 +117,7 @@ def _record(found: PairedClouds, folder: Path, part: int, done: frozenset[int], 
     session, collected = found.session, found.poses
     loaded = session.loaded
     simulated = any(says_simulated(path) for here in collected for path in here.clouds[:1])
-    plan_files = plan_files_text(loaded.files, CELL, RunKind.COLLECTED)
+    plan_files = plan_files_text(loaded.files, CELL, RunKind.COLLECTED, loaded.path)
     known = resuming.measured_balls(folder, loaded, done) if done else {}
     with recorded(folder, loaded, plan_files, operator.subscribers, part=part, message=operator.message) as bus:
         mark_latest(folder)

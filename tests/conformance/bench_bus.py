@@ -45,7 +45,7 @@ def modbus_positioner() -> Iterator[Stand]:
         "position": POSITION,
         "in_position": IN_POSITION,
         "actual": ACTUAL,
-        "move_timeout_s": 60.0,
+        "move_timeout_s": 10.0,
         "identity": {"where": IDENTITY, "equals": 4711},
     }
     with _modbus(FakeModbus(lift, [(Register(**IDENTITY), lambda: 4711.0)]), given, ModbusPositioner) as (make, proxies):
@@ -148,7 +148,7 @@ def serial_positioner() -> Iterator[Stand]:
         FakeSerialPositioner(parse_options(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
         PtyProxy(Channel("line"), fake.address, cut=LINE, cut_driver=LINE) as proxy,
     ):
-        lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 60.0}
+        lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 10.0}
 
         def use(positioner: SerialPositioner) -> None:
             station = "2" if lift.target == 0.0 else "1"

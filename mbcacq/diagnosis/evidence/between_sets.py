@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -226,6 +225,8 @@ def orders_matched(other: Parameters, own: Parameters) -> Parameters:
 
     Sets list the orders of a gear as they found them: without this, one order would be averaged with another.
     """
+    from scipy.optimize import linear_sum_assignment  # 90 modules, that a run never needs
+
     key = next((key for key in own if key.endswith(ORDERS)), None)
     if key is None or key not in other:
         return other
