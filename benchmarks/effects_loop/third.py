@@ -172,7 +172,7 @@ excluded. Functions of a load go on.
 worse; with 70°, 0.71 and none. Functions of two angles leave 0.76 if held (2 of 21 worse), 0.79 and none if they return.
 
 **What is worse.** In 67084 a ratio stands for an eccentricity. A balancer that was named for one (67168) left 2.25 of geometry's rms when
-its law went on, now 0.53; five cells with one left 0.10 to 0.49, now 0.31 to 0.96. Six of 30 with one are beyond their range.
+its law went on, now 0.53; five cells with a balancer left 0.10 to 0.49, now 0.31 to 0.96. Of 30, six are beyond their range.
 
 Of the first 200 cells most diagnoses ran before the law was changed, fits after it."""
 

@@ -72,7 +72,7 @@ def ur10(data: Path, poses: int) -> list[str]:
 
 
 HEADER = (
-    "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | as learnt -> drawn anew mm | "
+    "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | parts left out: as learnt -> drawn anew mm | "
     "error over uncertainty, rms | below 3 |"
 )
 
