@@ -252,6 +252,10 @@ def _in_metres(part, clouds):
     return part, {k: points / 1000 for k, points in clouds.items()}
 
 
+def _in_inches(part, clouds):
+    return part, {k: points / 25.4 for k, points in clouds.items()}
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -259,6 +263,7 @@ def _in_metres(part, clouds):
         (_each_elsewhere, "no two scans of this part overlap"),
         (_one_view, "all scans were taken at the same joint angles"),
         (_in_metres, "looks like metres; convert the clouds to mm"),
+        (_in_inches, "looks like inches; convert the clouds to mm"),
     ],
 )
 def test_scans_that_say_nothing_of_the_cell_are_refused_in_a_sentence(run, part_alone, tmp_path, wrong, says):
