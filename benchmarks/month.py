@@ -83,7 +83,10 @@ def changed(cell: Cell, day: int, what: dict[str, object]) -> None:
 
 def interrupted(cell: Cell, day: int) -> None:
     journal = cell.desk / "runs" / "interrupted" / "journal.jsonl"
-    cell.type(day, f"{RUN} --out runs/interrupted", until=lambda: journal.exists() and journal.read_text().count("pose_done") > 30)
+    code, _ = cell.type(
+        day, f"{RUN} --out runs/interrupted", until=lambda: journal.exists() and journal.read_text().count("pose_done") > 30
+    )
+    assert code != 0, "Ctrl-C stops a run"
     assert cell.type(day, "mbcacq run --resume runs/interrupted --dry-run")[0] == 0
 
 
@@ -137,6 +140,7 @@ def month(base: Path, every: int) -> None:
 
 
 def main() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background leaves it ignored, and commands inherit that
     base = Path(sys.argv[1])
     base.mkdir(parents=True)
     month(base, int(sys.argv[2]) if len(sys.argv) > 2 else 1)

@@ -4,6 +4,7 @@
     python benchmarks/real_arms.py campaigns
     python benchmarks/real_arms.py checks
     python benchmarks/real_arms.py transfer [--data ../shared/data] [--poses 1500] [--only ur10] [--write]
+    python benchmarks/real_arms.py causes [--write]
     python benchmarks/real_arms.py compliance [--poses 1500] [--write]
     python benchmarks/real_arms.py found-again [SET ...] [--kept DIR] [--write]
     python benchmarks/real_arms.py wrong-descriptions > benchmarks/wrong_descriptions.md
@@ -18,6 +19,7 @@ from pathlib import Path
 import bench
 from bench import DATA, option, writes
 from real_arms.campaigns import campaigns
+from real_arms.causes import causes
 from real_arms.checks import checks
 from real_arms.compliance import compliance
 from real_arms.found_again import found_again
@@ -40,6 +42,7 @@ if __name__ == "__main__":
             "campaigns": (campaigns, [DATA, OUT]),
             "checks": (checks, [DATA]),
             "transfer": (transfer, [DATA, poses(100_000), option("--only", choices=("ur5", "ur10")), writes("benchmarks/transfer.md")]),
+            "causes": (causes, [DATA, poses(100_000), writes("benchmarks/transfer.md")]),
             "compliance": (compliance, [DATA, poses(1500), writes("docs/data/ur10-tracker.md")]),
             "found-again": (
                 found_again,

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
+from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
 
 _MARGIN = 0.001  # REAL has 32 bits: a target on the limit must not be refused for its last digit
 

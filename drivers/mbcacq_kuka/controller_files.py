@@ -6,17 +6,15 @@ import ipaddress
 import re
 from collections.abc import Mapping
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.devices import ConfigError
 from mbcacq_kuka import controller_external as external
 from mbcacq_kuka import controller_outputs as outputs
 from mbcacq_kuka.controller_flags import with_flags_from
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
-
-if TYPE_CHECKING:
-    from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
-    from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
+from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
+from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
 _MARGIN_DEG = 0.001  # REAL has 32 bits: a target on the limit must not be refused for its last digit
 _TECHNOLOGY = '         <ELEMENT TAG="DEF_Tech.C2" TYPE="DOUBLE" INDX="INTERNAL"/>\n'  # load, tool, base; iiQKA.OS2 has no $TECHPAR_C

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
-    from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
+from mbcacq_kuka.eki.options import EkiOptions as EkiOptions
+from mbcacq_kuka.rsi.options import RsiOptions as RsiOptions
 
 _OUTPUTS = """
 OUTPUTS

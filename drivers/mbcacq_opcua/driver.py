@@ -9,11 +9,6 @@ from typing import Any
 
 import numpy as np
 
-try:
-    import asyncua  # noqa: F401 -- asked for here, so that a missing extra is one sentence
-except ImportError as error:
-    raise ImportError("asyncua is missing: pip install 'mbcacq[opcua]'") from error
-
 from mbcacq.devices import (
     ConnectError,
     ContextDevice,

@@ -26,6 +26,7 @@ from mbcacq.calibration.published_cell import (
     with_notes_on_poses,
 )
 from mbcacq.calibration.recording_faults import with_joint_noise_check
+from mbcacq.calibration.staged import calibrate_paper
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.with_discrepancy import evidence_gain, with_discrepancy
 from mbcacq.calibration.with_effects import refitted, refitted_effects
@@ -149,8 +150,6 @@ def changed_while_recorded(obs: Observations, displaced: tuple[tuple[Term, np.nd
 
 
 def _staged(observations: Observations, options: CalibrationOptions) -> CalibratedCell:
-    from mbcacq.calibration.staged import calibrate_paper
-
     cell = calibrate_paper(observations, options)
     refuse_unusable(cell)
     refuse_runaway(cell.state.chain, cell.nominal, options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,13 +23,11 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.figure import Figure
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import axis_of_tag
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json, sealed_text, unsealed
 from mbcacq.model.observations import Observations
-
-if TYPE_CHECKING:
-    from mbcacq.figure import Figure
 
 
 class HasModel(Protocol):

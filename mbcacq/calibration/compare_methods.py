@@ -18,7 +18,10 @@ from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.held_out_poses import about_best_station, predicted, rms
+from mbcacq.calibration.staged import method
+from mbcacq.calibration.staged.pair_distances import FLAT_MM, Measured, scanner_noise, width
 from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.options import CalibrationOptions, select_phases
@@ -277,10 +280,6 @@ def staged_method(pairs: str) -> Callable[[Observations], CellState]:
 
 def distances_only(obs: Observations) -> CellState:
     """The distance constraint alone, on the measured centres of all balls, redundant parameters held."""
-    from mbcacq.calibration.staged import method
-    from mbcacq.calibration.staged.pair_distances import Measured, scanner_noise
-    from mbcacq.estimation import parameters
-
     _scanner_of_several_balls(obs)
     first = calibrate(obs, CalibrationOptions(kinematics=False)).state
     layout, measured = parameters.build(obs, CalibrationOptions(balls=False)), Measured(scanner_noise(obs))
@@ -318,8 +317,6 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
         return where, se3.transform(R, place)
     if np.bincount(obs.pose).max(initial=0) < LEAST_POSES or not np.any(np.abs(obs.xyz) > 1e-9):
         raise CalibrationError(TOO_FEW)
-    from mbcacq.calibration.staged.pair_distances import FLAT_MM, width
-
     enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= LEAST_POSES)
     flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
     where = enough[~np.array(flat, bool)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -247,8 +248,6 @@ def _mirrored(R: np.ndarray, mirror: np.ndarray) -> np.ndarray:
 
 def _w_last(R: np.ndarray) -> np.ndarray:
     """The rotations (N, 3, 3) whose quaternions were read as w, x, y, z though they are x, y, z, w."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)).as_matrix()
 
 

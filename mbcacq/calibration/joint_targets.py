@@ -12,6 +12,7 @@ from mbcacq.geometry import se3
 ROUNDS = 60
 REACHED_MM = 1e-3  # a thousandth of a millimetre is below any arm's repeatability
 REACHED_RAD = 1e-6
+ROUNDED = 1e-6  # rad, far more than the decimals of a program leave out
 LEVER_MM = 300.0  # weighs rotations against translations: a tool of that length
 DAMPING = 1e-4  # relative, of directions that an arm near a singular posture can hardly move in
 LARGEST_STEP = 0.2  # rad, of a joint in one round
@@ -60,9 +61,10 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
         q = np.clip(q + step, low, high)
     left = error_twist(cell.frames(best)[:, -1], goals)
     error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
-    reached = (error_mm < REACHED_MM) & (error_rad < REACHED_RAD)
+    beyond = (start < low - ROUNDED) | (start > high + ROUNDED)  # a turn back it is the same place, by another motion
+    reached = (error_mm < REACHED_MM) & (error_rad < REACHED_RAD) & ~beyond.any(axis=1)
     at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)
-    reasons = tuple("" if ok else _reason(cell, ends) for ok, ends in zip(reached, at_limit, strict=True))
+    reasons = tuple("" if ok else _reason(cell, *ends) for ok, *ends in zip(reached, at_limit, beyond, strict=True))
     return JointTargets(best, error_mm, error_rad, reached, reasons)
 
 
@@ -72,7 +74,9 @@ def error_twist(T: np.ndarray, goals: np.ndarray) -> np.ndarray:
     return np.concatenate([apart[:, :3, 3], se3.rotation_log(apart[:, :3, :3])], axis=1)
 
 
-def _reason(cell: CalibratedCell, at_limit: np.ndarray) -> str:
+def _reason(cell: CalibratedCell, at_limit: np.ndarray, beyond: np.ndarray) -> str:
     axes = cell.axes
+    if beyond.any():
+        return f"{', '.join(axes[i] for i in np.flatnonzero(beyond))} is programmed beyond its limits"
     stopped = ", ".join(axes[i] for i in np.flatnonzero(at_limit))
     return f"{stopped} stands at its limit" if stopped else "out of reach, or in a singular posture"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import computed_field
@@ -20,14 +20,12 @@ from mbcacq.calibration import notebook
 from mbcacq.calibration.length_budget import LengthBudget
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.figure import Figure
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.json_text import EveryKey, fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
-
-if TYPE_CHECKING:
-    from mbcacq.figure import Figure
 
 End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 

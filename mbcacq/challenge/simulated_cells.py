@@ -16,6 +16,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
 from mbcacq.plan.routing import path_home
 from mbcacq.recording import load_observations
+from mbcacq.workflow.acquire import Acquisition, solver_cell
 
 Injected = list[dict[str, Any]]
 
@@ -32,8 +33,6 @@ def observe(
     """The recording of the run, as observations, and the truth. injected, climate, noise_seed: as ``hidden`` and the like of a plan's
     ``fake``. planned: the poses by which injected effects choose where and when they act, where the same cell was measured before.
     """
-    from mbcacq.workflow.acquire import solver_cell
-
     fake = {"climate": dict(climate or {}), "noise_seed": noise_seed}
     planned_q = None if planned is None else np.array([p.q for p in planned])
     made = load_driver("fakes", "recorded")
@@ -58,8 +57,6 @@ def run(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path, noise_seed: int | None = None
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
-    from mbcacq.workflow.acquire import Acquisition
-
     secret = replace(
         loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected, "noise_seed": noise_seed}})
     )

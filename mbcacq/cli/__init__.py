@@ -9,6 +9,8 @@ def main() -> None:
     _open_standard_streams()
     # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all while other programs run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # mimalloc, of pyarrow and of rerun, reserves a GiB of addresses each: too many where a limit is set on them (ulimit -v).
+    os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "64M")
     import signal
     import sys
 

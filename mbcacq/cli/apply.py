@@ -19,7 +19,6 @@ from mbcacq.workflow import arm_positions, load
 
 if TYPE_CHECKING:
     from mbcacq.spheres.cloud_file import CloudFile
-    from mbcacq.workflow.arm_positions import ArmPosition
 
 
 @subcommand("apply")
@@ -98,7 +97,7 @@ def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
     return made
 
 
-def _placed(known: Mapping[str, Any], cloud: Path, position: ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
+def _placed(known: Mapping[str, Any], cloud: Path, position: arm_positions.ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
     """Write one cloud in the base frame; what was written, and how well it is placed."""
     from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,9 +12,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import Aborted, ConfigError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.motion_limits import T1_MM_S
-
-if TYPE_CHECKING:
-    from mbcacq.plan.motion_preview import Swept
+from mbcacq.plan.motion_preview import Swept
 
 
 def ask_before_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept, arm: bool) -> None:

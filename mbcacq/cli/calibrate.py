@@ -17,6 +17,7 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.errors import ConfigError
+from mbcacq.estimation import options as arm_options
 from mbcacq.files import atomic_write
 from mbcacq.fleet import arm_prior
 from mbcacq.model import json_text
@@ -24,9 +25,6 @@ from mbcacq.workflow import calibrate
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from mbcacq.estimation.options import ArmPrior
-    from mbcacq.workflow.evaluate import RunResult
 
 
 @subcommand("calibrate")
@@ -118,7 +116,7 @@ def command(
     return Answer(result, lines_of_joint(result) if others else lines_of(result), then, wide=True)
 
 
-def answer_of_run(done: RunResult) -> Answer:
+def answer_of_run(done: mbcacq.RunResult) -> Answer:
     """The result of a run. It ends with the exit code of a limit that is exceeded."""
     return Answer(done.to_dict(), lines_of(done.to_dict()), done.next_step, wide=True, end=done.refuse_beyond_limit)
 
@@ -140,7 +138,7 @@ def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | Non
     return put_to_use(out)
 
 
-def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
+def learnt_priors(fleet: Path | None) -> tuple[arm_options.ArmPrior, ...]:
     """What a fleet says about the next arm; nothing where there is none."""
     if fleet is None:
         return ()

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mbcacq
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
-from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
-from mbcacq.recording.run_folder import register
-from mbcacq.report.sources import check_result, run_folder
-from mbcacq.workflow import load
+from mbcacq.workflow.report import report_and_next
 
 
 @subcommand("report")
@@ -39,21 +35,6 @@ def command(
     if pdf and out is not None and out.suffix.lower() != ".pdf":
         raise ConfigError(f"{out} does not end in .pdf, as --pdf asks for; give another --out")
     with StepProgress() as progress:
-        path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=progress)
+        path, then = report_and_next(run, out, with_diagnosis, progress)
     document = {"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}
-    return Answer(document, [str(path)], next_step(run))
-
-
-def next_step(run: Path) -> tuple[str, str]:
-    """What to do after a report, and the command for it."""
-    if load.is_run_folder(run) and register.kind_of(run) is register.RunKind.CHECK:
-        what, command = check_result.read_check_result(run)["next"]
-        return what, command
-    if not load.is_run_folder(run) and load.as_observations(run).cell.robot.of_flange_poses:
-        return "hold the usual methods for the hand-eye transformation against it", command_line("compare", run)
-    kept = run_folder.read_kept_findings(run)
-    if "diagnosis" not in kept:
-        return "ask which effects the model lacks", command_line("diagnose", run)
-    if "with_effects" not in kept and kept["diagnosis"].get("model"):
-        return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
-    return put_to_use(run / run_folder.WITH_EFFECTS if "with_effects" in kept else run)
+    return Answer(document, [str(path)], then)

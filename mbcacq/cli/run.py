@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -20,9 +19,6 @@ from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import printable
 from mbcacq.recording.run_folder import run_plan
 from mbcacq.workflow import next_plan
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
 
 
 @subcommand("run")
@@ -79,7 +75,7 @@ def command(
     return answer_of_run(done)
 
 
-def plan_of(resume: Path | None) -> Path | LoadedPlan:
+def plan_of(resume: Path | None) -> Path | mbcacq.LoadedPlan:
     """The plan of the run to go on with; if it has grown, the plan that its folder keeps. Raises UsageError where none is given."""
     if resume is None:
         raise click.UsageError("Missing argument 'PLAN': a plan file, or one of those that came with mbcacq, such as kuka.")

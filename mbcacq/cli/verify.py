@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mbcacq
-from mbcacq.calibration import result_io
+from mbcacq.calibration import result_io, transfer
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line, put_to_use
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.errors import ConfigError
 from mbcacq.workflow import load
-
-if TYPE_CHECKING:
-    from mbcacq.calibration.transfer import Transfer
 
 
 @subcommand("verify")
@@ -57,7 +53,7 @@ def command(
     return Answer(document, (one.text for one in found), _next(result, judged), warnings=warnings)
 
 
-def _next(result: Path, judged: Mapping[str, Transfer]) -> tuple[str, str]:
+def _next(result: Path, judged: Mapping[str, transfer.Transfer]) -> tuple[str, str]:
     """What to do after the trial, and the command for it."""
     against = next((name for name, one in judged.items() if one.verdict == "contradicts"), None)
     if against is None:

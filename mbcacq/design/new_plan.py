@@ -116,7 +116,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     progress(f"choosing {request.options.poses} views at {len(kept)} stations by what the calibration learns from them")
     result = design(loaded, request.options.poses, criterion="A", steepest_deg=38.0, seed=request.options.seed)
     loaded, left_out = _without_errors(load(request.out, result.text), progress)
-    _write(request.out, loaded.text, names)
+    write_file(request.out, loaded.text)
     poses = expand_reachable(loaded)[0]
     yield f"{request.out}: {len(poses)} poses at {len(places)} stations, chosen from {result.tried} views that can be taken"
     if left_out:
@@ -142,10 +142,6 @@ def _beside(path: Path, out: Path) -> str:
     if path.resolve().is_relative_to(shipped.folder().resolve()):
         return path.name
     return seen_from(out.parent, path)
-
-
-def _write(out: Path, text: str, names: dict[Path, str]) -> None:
-    write_file(out, text)
 
 
 def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict[Path, str]) -> dict[str, Any]:

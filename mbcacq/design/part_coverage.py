@@ -10,6 +10,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from mbcacq.design.candidate_views import AT_ONCE, SeenView, ViewChoice, random_views
 from mbcacq.design.options import DesignOptions
@@ -203,9 +205,6 @@ def _two_for_one(shown: np.ndarray, weight: np.ndarray, chosen: list[int], good:
 
 
 def _hang_together(near: np.ndarray) -> bool:
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     return connected_components(csr_array(near))[0] == 1
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 
 from mbcacq import devices
+from mbcacq.devices.registry import cure_of
 
 PROTOCOLS = {"robots": devices.Robot, "scanners": devices.Scanner, "positioners": devices.Positioner, "sensors": devices.Sensor}
 KINDS = (*PROTOCOLS, "fakes")
@@ -46,7 +47,7 @@ def _inspect(kind: str, point: EntryPoint) -> tuple[str, str]:
     try:
         target = point.load()
     except Exception as error:  # an outside package may raise anything when it is imported
-        return f"cannot be imported: {type(error).__name__}: {error}", ""
+        return f"cannot be imported: {type(error).__name__}: {error}; {cure_of(point, error)}", ""
     wanted = PROTOCOLS.get(kind)
     if wanted is not None:
         asked = [name for base in (devices.Device, wanted) for name, method in vars(base).items() if callable(method) and name[0] != "_"]

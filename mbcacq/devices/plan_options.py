@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from mbcacq.errors import ConfigError
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
 
 Options = TypeVar("Options", bound=BaseModel)
 ONE_SIDED = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}

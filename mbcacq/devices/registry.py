@@ -49,19 +49,20 @@ def load_driver(kind: str, name: str) -> type:
         try:
             return point.load()
         except ImportError as error:
-            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; {_cure(point, error)}") from error
+            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; {cure_of(point, error)}") from error
     choices = ", ".join(sorted(available(kind))) or "none"
     raise ConfigError(f"there is no driver '{name}' among the {kind} (installed: {choices}); correct the name or install its package")
 
 
-def _cure(point: EntryPoint, error: ImportError) -> str:
+def cure_of(point: EntryPoint, error: Exception) -> str:
     """What to install: the extra of the driver's package that brings the missing module, where there is one."""
-    if (package := point.dist) is None:
-        return "install what it needs"
-    for line in package.requires or ():
+    if not isinstance(error, ImportError) or point.dist is None:
+        return "reinstall its package, with what it needs"
+    name = re.escape(error.name or " ")
+    for line in point.dist.requires or ():
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", line)
-        if extra and re.match(rf"{re.escape(error.name or ' ')}(?![\w-])", line) and extra[1] != "test":
-            return f"install what it needs: pip install '{package.name}[{extra[1]}]'"
+        if extra and re.match(rf"{name}(?![\w-])", line) and extra[1] not in ("test", "dev"):
+            return f"install what it needs: pip install '{point.dist.name}[{extra[1]}]'"
     return "install what it needs"
 
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 from mbcacq.doctor import computer, devices, installed, network
 from mbcacq.doctor.line import CheckupLine, from_error
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan
 
 __all__ = ["CheckupLine", "checkup", "from_error"]
 

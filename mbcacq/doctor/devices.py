@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
+from mbcacq.acquisition.cell_devices import create_devices
+from mbcacq.acquisition.device_check import device_findings
 from mbcacq.devices import ConfigError, Device, MbcacqError, Sensor
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.doctor.line import CheckupLine, from_error
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan
 
 
 def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
-    from mbcacq.acquisition.cell_devices import create_devices
-    from mbcacq.acquisition.device_check import device_findings
-
     impossible = [from_error("devices", ConfigError(str(found))) for found in device_findings(loaded)]
     if impossible:
         yield from impossible

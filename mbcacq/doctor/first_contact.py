@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbcacq.devices import load_driver
 from mbcacq.files.template import filled
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan
 
 
 def protocol(loaded: LoadedPlan) -> str:

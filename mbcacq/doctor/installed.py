@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from mbcacq.devices.installed import Installed, survey
-from mbcacq.doctor.line import CheckupLine
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.doctor.line import CheckupLine, Level, from_error
+from mbcacq.plan import LoadedPlan
 
 
 def lines(loaded: LoadedPlan | None) -> Iterator[CheckupLine]:
+    """A line for each driver that cannot be used, and one of the others. Without a plan it is a warning: no run fails for it yet."""
     wanted = None if loaded is None else _named(loaded)
     good: list[Installed] = []
     for driver in survey():
         if wanted is not None and (driver.kind, driver.name) not in wanted:
             continue
         if driver.problem:
-            yield CheckupLine(
-                "error",
-                f"driver {driver.name}",
-                f"{driver.kind}: {driver.problem}",
-                f"reinstall {driver.package or 'its package'}, with what it needs",
-            )
+            level: Level = "warning" if wanted is None else "error"
+            yield from_error(f"driver {driver.name}", f"{driver.kind}: {driver.problem}", level)
         else:
             good.append(driver)
     for kind, name in sorted((wanted or set()) - {(d.kind, d.name) for d in survey()}):

@@ -20,7 +20,7 @@ class CheckupLine(AsJson):
     cure: str = ""
 
 
-def from_error(topic: str, error: BaseException) -> CheckupLine:
+def from_error(topic: str, error: BaseException | str, level: Level = "error") -> CheckupLine:
     """Our errors end with what to do about them, behind the last semicolon."""
     what, _, cure = str(error).rpartition("; ")
-    return CheckupLine("error", topic, what or str(error), cure if what else "mend what the sentence names")
+    return CheckupLine(level, topic, what or str(error), cure if what else "mend what the sentence names")

@@ -9,12 +9,9 @@ import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbcacq.doctor.line import CheckupLine
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
+from mbcacq.plan import LoadedPlan
 
 EVERYWHERE = ("0.0.0.0", "::", "")
 

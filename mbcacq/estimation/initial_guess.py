@@ -44,8 +44,6 @@ def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
     With the target at its first guess p, ``p.p - L L = 2 p.a - 2 L o + (o o - a.a)`` is linear in the place a of each instrument, its
     offset o and a constant; from there by robust least squares, the target's place included.
     """
-    from scipy.optimize import least_squares
-
     T, L, station = T_base_flange[obs.pose], obs.xyz[:, 0], obs.station[obs.pose]
     target, places = obs.cell.T_flange_scanner.copy(), np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     p = se3.apply(T, np.tile(target[:3, 3], (len(L), 1)))
@@ -59,6 +57,8 @@ def _multilateration(obs: Observations, T_base_flange: np.ndarray) -> CellState:
     def missed(x: np.ndarray) -> np.ndarray:
         away = se3.apply(T, np.tile(x[:3], (len(L), 1))) - x[4:].reshape(-1, 3)[station]
         return np.linalg.norm(away, axis=1) + x[3] - L
+
+    from scipy.optimize import least_squares  # 90 modules, that a run never needs
 
     found = least_squares(missed, np.r_[target[:3, 3], 0.0, places[:, :3, 3].ravel()], loss="soft_l1", x_scale="jac", max_nfev=200).x
     target[:3, 3], places[:, :3, 3] = found[:3], found[4:].reshape(-1, 3)

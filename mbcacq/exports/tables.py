@@ -14,6 +14,7 @@ from mbcacq.geometry import orientations
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import in_degrees
 from mbcacq.recording.datasets import quaternions
+from mbcacq.report.sources.measured import residuals
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a cell that begins so is a formula to spreadsheets
 
@@ -59,8 +60,6 @@ def tool_frames_csv(result: Mapping[str, Any], T: np.ndarray) -> str:
 
 def residuals_csv(result: Mapping[str, Any], observations: Observations) -> str:
     """Measured minus predicted of every centre of the calibrated poses, in the scanner frame."""
-    from mbcacq.report.sources.measured import residuals
-
     found = residuals(observations, result, state_from_dict(dict(result), observations.cell))
     assert found.weighted is not None, "a result has noise, by which the residuals are weighted"
     assert found.outlier is not None, "residuals of observations say which are rejected"

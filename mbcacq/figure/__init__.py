@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -128,8 +129,6 @@ def _plain(value: Any) -> Any:
 
 
 def _packed(array: np.ndarray) -> Any:
-    from base64 import b64encode
-
     kind = PACKED.get(array.dtype.kind)
     if array.dtype.kind in "iu" and (array.size == 0 or np.abs(array).max() <= LARGEST_I4):
         kind = "i4"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mbcacq.diagnosis.executor import cores
 from mbcacq.errors import ConfigError
 from mbcacq.fleet.cluster import evaluated
 from mbcacq.fleet.control_chart import Outlier, arm_types, outliers
@@ -14,6 +15,7 @@ from mbcacq.fleet.page import fleet_content
 from mbcacq.fleet.recordings import FleetRecording, find_recordings
 from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.fleet.store import FleetStore
+from mbcacq.report.page import render_fleet
 
 Progress = Callable[[int, int, FleetRow], None]
 
@@ -86,9 +88,6 @@ def evaluate_fleet(
     ConnectError
         The scheduler does not answer.
     """
-    from mbcacq.diagnosis.executor import cores
-    from mbcacq.report.page import render_fleet
-
     task = task or FleetTask()
     if not recordings:
         raise ConfigError("there are no recordings to evaluate; give some, or a folder of them")

@@ -13,6 +13,7 @@ from pathlib import Path
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.recording.run_folder.register import RunKind, kind_of
+from mbcacq.report.sources.run_folder import read_run_identity
 
 LISTED = TableSchema(
     "a table of recordings",
@@ -103,8 +104,6 @@ def described(path: Path) -> FleetRecording:
 
 def started(path: Path) -> str:
     """When the run of a folder was started, '' if it does not say."""
-    from mbcacq.report.sources.run_folder import read_run_identity
-
     return _iso(str(read_run_identity(path).get("started", ""))) if (path / "journal.jsonl").exists() else ""
 
 

@@ -34,7 +34,7 @@ from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
 from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
-from mbcacq.workflow.correct import refuse_uncalibrated
+from mbcacq.workflow.corrected_targets import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides, name_of
 from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
 from mbcacq.workflow.part_scenes import scenes_as_observations

@@ -15,6 +15,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import replacing
+from mbcacq.files.open3d_library import open3d
 from mbcacq.files.ply_header import read_header
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import cells_of
@@ -139,8 +140,6 @@ def xyz_of(points: np.ndarray) -> np.ndarray:
 
 def surface_mesh(cloud: Path, out: Path, depth: int = 9) -> int:
     """Write the surface through a merged cloud (screened Poisson, Kazhdan and Hoppe 2013) as STL; the number of its triangles."""
-    from mbcacq.files.open3d_library import open3d
-
     o3d = open3d()
     points = o3d.io.read_point_cloud(str(cloud))
     mesh, density = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=depth, n_threads=1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from math import prod
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from mbcacq.parts.options import PartOptions
 
@@ -77,8 +78,6 @@ class SurfaceCells:
 
     def shared(self, count: int) -> np.ndarray:
         """(count, count) numbers of cells that two scans share."""
-        from scipy.sparse import csr_array
-
         at = csr_array((np.ones(len(self.cell), int), (self.scan, self.cell)), shape=(count, len(self.point)))
         return (at @ at.T).toarray()
 

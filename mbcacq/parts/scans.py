@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.open3d_library import open3d
@@ -67,6 +68,4 @@ def thinned(surface: ScanSurface, most: int) -> ScanSurface:
 
 def spacing(points: np.ndarray) -> float:
     """Median distance in mm of a point (N, 3) from its nearest neighbour."""
-    from scipy.spatial import KDTree
-
     return float(np.median(KDTree(points).query(points[:: max(1, len(points) // 300)], k=2)[0][:, 1]))

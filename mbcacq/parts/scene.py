@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
@@ -148,8 +149,6 @@ def _cells(surfaces: Sequence[ScanSurface], T: np.ndarray, edge: float, options:
 def _connected(cells: SurfaceCells, count: int, least: int, options: PartOptions) -> tuple[SurfaceCells, np.ndarray]:
     """The cells of the largest set of scans that hang together by ``least`` cells each, at most ``options.scene_cells``, and the numbers of
     these scans."""
-    from scipy.sparse.csgraph import connected_components
-
     _, label = connected_components(cells.shared(count) >= least)
     used = np.flatnonzero(label == np.bincount(label).argmax())
     if len(used) < 2:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import Overlap
@@ -141,8 +142,6 @@ def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidSt
 
 def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoise:
     """The smooth noise of the scanner from overlaps whose scans are nearly in place."""
-    from scipy.optimize import minimize
-
     rng = np.random.default_rng(0)
     chosen = [overlaps[k] for k in np.unique(np.linspace(0, len(overlaps) - 1, OVERLAPS_FOR_NOISE).astype(int))]
     plain = SmoothNoise(0.0, 1.0)

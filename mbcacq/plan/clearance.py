@@ -132,11 +132,11 @@ class Clearance:
         return [Posture(frames) for frames in robot.chain.frames(q)]
 
     def _examined(self, a: Body, b: Body) -> Iterator[Pair]:
-        """The pair, or pairs with parts of ``b``, or nothing."""
+        """The pair, or pairs with parts of ``b``, or nothing. At most half of what two bodies can have between them is asked of them."""
         planning, pair, farthest = self._loaded.planning, self._pair(a, b), -np.inf
         for posture in self._random_postures:
             farthest = max(farthest, posture.distance(pair))
-            if farthest > max(self._loaded.plan.clearance_mm, planning.neighbour_gap_mm):
+            if farthest / 2 > max(self._loaded.plan.clearance_mm, planning.neighbour_gap_mm):
                 yield pair
                 return
         if b.carried and farthest <= 0:

@@ -394,3 +394,7 @@ class Content:
     versions: list[tuple[str, str]] = field(default_factory=list)
     hashes: list[tuple[str, str, str]] = field(default_factory=list)
     plan_yaml: str = ""
+
+    def next_step(self) -> tuple[str, str]:
+        """What to do next and the command for it, as the terminal says it; two empty texts where the page has none."""
+        return ("", "") if self.next is None else (self.next.what, self.next.command)

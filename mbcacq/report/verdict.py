@@ -52,7 +52,11 @@ MEASURE_INDEPENDENTLY = Action(
     "has one.",
     "mbcacq plan copy kuka",
 )
-
+MERGE = (
+    "Merge the scans of the part",
+    "The part judges the cell: how well its overlapping scans agree, before and after calibration, beside what the cell's uncertainty "
+    "lets expect.",
+)
 HOLD_OUT = (
     "Predict poses that are held out",
     "Nothing independent says how good the cell is. Refit it without some of the poses, and see how well it predicts them.",

@@ -29,10 +29,12 @@ from mbcacq.plan.routing import check_start, path_home
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
 from mbcacq.recording.run_folder.journal import Journal, recorded_facts
 from mbcacq.recording.run_folder.latest import mark_latest
+from mbcacq.recording.run_folder.recovery import WHOLE
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
 from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.version import __version__
+from mbcacq.workflow.change_watch import ChangeWatch
 from mbcacq.workflow.resume import measured_balls, merge_parts
 
 if TYPE_CHECKING:
@@ -108,7 +110,6 @@ def recorded(
     """The bus of a run whose events are recorded in its folder, with the plan. shown: as ``Recorder`` takes it. The parts of a resumed run
     become one recording at its end."""
     from mbcacq.recording.rrd.writer import Recorder
-    from mbcacq.recording.run_folder.recovery import WHOLE
 
     (folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
     keep_plan(folder, loaded.text, plan_files)
@@ -174,7 +175,6 @@ class Acquisition:
         live: serve the recording on 127.0.0.1 while it grows. message: gets sentences for people, such as the address for the viewer.
         pause: asked before each pose.
         """
-        from mbcacq.workflow.change_watch import ChangeWatch
 
         def gate(q: np.ndarray) -> None:
             mark_latest(self.folder, self.kind)  # not before every device answered

@@ -30,10 +30,9 @@ def refuse_small_address_space() -> None:
 
 
 def _reserve_little() -> None:
-    """Allocators reserve addresses of which nearly all stay empty, and what comes after them gets none: glibc 64 MiB for each thread that
-    allocates, mimalloc (of pyarrow, and of rerun) a GiB each. Here, where it is asked before they are loaded, and in processes to come.
+    """glibc reserves 64 MiB of addresses for each thread that allocates, of which nearly all stay empty, and what comes after them gets
+    none. Here and in processes to come.
     """
     os.environ.setdefault("MALLOC_ARENA_MAX", "1")
-    os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "64M")
     with suppress(AttributeError, OSError):  # another C library
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)

@@ -15,8 +15,9 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
+from mbcacq.plan.controller_joints import of_the_model
 from mbcacq.plan.plausibility import looks_like_radians
-from mbcacq.quantities import from_degrees
+from mbcacq.quantities import from_degrees, in_degrees
 from mbcacq.recording.datasets.columns import flange_group, joint_angles, joint_columns, names_poses
 from mbcacq.recording.datasets.loose_table import TableOptions, directed, in_units
 from mbcacq.recording.datasets.pose_columns import named_convention
@@ -38,7 +39,17 @@ def typed_joints(text: str, result: Mapping[str, Any]) -> ArmPosition:
     limits = result["robot"].get("limits")
     if limits and (sentence := looks_like_radians(angles_deg, np.array(limits, dtype=float))):
         raise ConfigError(f"--joints: {sentence}")
-    return ArmPosition(from_degrees(angles_deg))
+    return ArmPosition(_of_the_model(np.array(angles_deg), result, "--joints"))
+
+
+def _of_the_model(positions: np.ndarray, result: Mapping[str, Any], where: str) -> np.ndarray:
+    """(..., n) rad, mm of the arm of a result, of positions (..., n) deg, mm as its controller shows them. Raises ConfigError."""
+    n = len(result["robot"]["sign"])
+    if positions.shape[-1] != n:
+        raise ConfigError(f"{where} has {positions.shape[-1]} positions for an arm of {n} axes; give one an axis")
+    prismatic = np.isin(np.arange(n), result["robot"].get("sliding", ()))
+    counted = result.get("controller_joints", {"matrix": np.eye(n), "offset_deg": np.zeros(n)})
+    return of_the_model(positions, np.array(counted["matrix"]), np.array(counted["offset_deg"]), prismatic)
 
 
 def typed_flange(text: str, orientation: str | None) -> ArmPosition:
@@ -76,7 +87,8 @@ def positions_in(path: Path, result: Mapping[str, Any], clouds: Sequence[Path], 
     table = read_table(path, headings=names_poses)
     joints = [] if of_flange_poses(result) else joint_columns(table)
     if joints:
-        found = [ArmPosition(q) for q in joint_angles(table, joints)]
+        shown = in_degrees(joint_angles(table, joints))
+        found = [ArmPosition(q) for q in _of_the_model(shown, result, table.at_headings)]
     else:
         found = [ArmPosition(q, flange=True) for q in flange_coordinates(_flange(table, orientation))]
     rows, sentence = _rows_of(clouds, table)

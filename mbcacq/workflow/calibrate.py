@@ -31,7 +31,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.workflow.effects import Effects, as_effects
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, counted_joints
 
 MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one
@@ -297,6 +297,7 @@ def calibration_content(
     content = cell.to_dict()
     content["verification"] = cell.verify(observations, limit_mm=limit_of(Path(data))).to_dict()
     content["gaps"] = find_gaps(Path(data))
+    content |= counted_joints(Path(data), observations.cell.robot.n)
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
     if with_map:
@@ -326,6 +327,7 @@ def joint_content(
     for path, cell, one in zip(data, cells, content["recordings"], strict=True):
         one["result"]["verification"] = cell.verify(as_observations(path)).to_dict()
         one["result"]["gaps"] = find_gaps(path)
+        one["result"] |= counted_joints(Path(path), cell.nominal.n)
     return content
 
 

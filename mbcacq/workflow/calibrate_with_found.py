@@ -17,8 +17,13 @@ from mbcacq.files.atomic_write import write_files
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
+from mbcacq.report.charts.spacing_svg import stages_picture
+from mbcacq.report.sources.from_result import content_of
+from mbcacq.report.sources.run_folder import read_kept_findings
 from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
+from mbcacq.workflow.evaluate import show_in_viewer
+from mbcacq.workflow.load import counted_joints
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ class CalibratedWithFound:
     def text(self) -> str:
         """A sentence with the errors of the stages."""
         if not self.places:
-            return "There are no verification poses: nothing says how good the calibration is."
+            return "There are no verification poses: no certified length says how good the calibration is."
         figures = ", ".join(
             f"{name} {fixed(np.abs(errors).mean())} mm (largest {fixed(np.abs(errors).max())} mm)" for name, errors in self.stages.items()
         )
@@ -66,9 +71,7 @@ class CalibratedWithFound:
     def write(self, folder: Path) -> list[Path]:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError if that is impossible, also
         where the folder is a link that leads out of the one above it."""
-        from mbcacq.report.charts.spacing_svg import stages_picture
-
-        files = {"result.json": sealed_text(self.result())}
+        files = {"result.json": sealed_text(self.result() | counted_joints(folder.parent, self.geometry.nominal.n))}
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         return write_files(folder.parent, {f"{folder.name}/{name}": content for name, content in files.items()})
@@ -76,10 +79,6 @@ class CalibratedWithFound:
     def show_in_viewer(self, run: Path, observations: Observations) -> Path:
         """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the
         file. Raises RecordingError if that is impossible."""
-        from mbcacq.report.sources.from_result import content_of
-        from mbcacq.report.sources.run_folder import read_kept_findings
-        from mbcacq.workflow.evaluate import show_in_viewer
-
         geometry = self.geometry.to_dict() | {"verification": self.by_geometry.to_dict()}
         better = read_kept_findings(run).get("with_effects")
         page = content_of(geometry, None, {"folder": str(run), "with_effects": better})  # of which the viewer shows the verdict alone

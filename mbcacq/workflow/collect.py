@@ -11,6 +11,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
 from mbcacq.recording.run_folder.latest import mark_latest
+from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.run_plan import plan_files_text
 from mbcacq.spheres.cloud_files import says_simulated
@@ -89,8 +90,6 @@ def collect(
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: what is added goes into the run's own folder")
-    from mbcacq.recording.run_folder.lock import write_lock
-
     operator, loaded = operator or Operator(), as_plan(plan)
     sources = sources if isinstance(sources, Sources) else Sources(Path(sources))
     folder = None if resume is None else Path(resume)
@@ -118,7 +117,7 @@ def _record(found: PairedClouds, folder: Path, part: int, done: frozenset[int], 
     session, collected = found.session, found.poses
     loaded = session.loaded
     simulated = any(says_simulated(path) for here in collected for path in here.clouds[:1])
-    plan_files = plan_files_text(loaded.files, CELL, RunKind.COLLECTED)
+    plan_files = plan_files_text(loaded.files, CELL, RunKind.COLLECTED, loaded.path)
     known = resuming.measured_balls(folder, loaded, done) if done else {}
     with recorded(folder, loaded, plan_files, operator.subscribers, part=part, message=operator.message) as bus:
         mark_latest(folder)

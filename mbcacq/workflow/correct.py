@@ -18,6 +18,7 @@ from mbcacq.exports.programs.points_csv import read_points
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import AsJson, FilePath, keyed
 from mbcacq.quantities import in_degrees
+from mbcacq.workflow.corrected_targets import refuse_uncalibrated
 from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
@@ -186,20 +187,6 @@ def refuse_other_make(program: Path, robot: str) -> None:
         raise ConfigError(
             f"{program}: {LANGUAGE_MAKES[of_program][1]} is the language of {of_program} arms, and this result is of '{robot}'; give the "
             "result of the arm that runs the program"
-        )
-
-
-def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
-    """Raises ConfigError for a simulated calibration, unless ``simulated_anyway``, and for an arm that was not calibrated."""
-    if arm.simulated and not simulated_anyway:
-        raise ConfigError(
-            "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
-            "give that of a real arm (or --simulated-anyway for a program, --dry-run for a check)"
-        )
-    if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:
-        raise ConfigError(
-            "this result holds the nominal arm (its hand-eye alone was calibrated), which nothing corrects or checks; "
-            "give the result of a calibration of the arm, by joint angles and without --hand-eye-only"
         )
 
 

@@ -19,7 +19,7 @@ from mbcacq.model.json_text import Matrix, Vector, as_list, damage, digest, from
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.quantities import DEGREE
-from mbcacq.workflow.correct import refuse_uncalibrated
+from mbcacq.recording.run_folder.run_plan import read_kept_plan
 from mbcacq.workflow.load import as_cell, is_run_folder, load_observations
 
 LARGEST_MM = 25.0  # by which an arm in good order may miss a place; the errors of arms as delivered are below 10 mm
@@ -130,10 +130,22 @@ def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
     return (np.abs(q[:, None] - learnt[None]).max(axis=2) < SAME_PLACE).any(axis=1)
 
 
+def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
+    """Raises ConfigError for a simulated calibration, unless ``simulated_anyway``, and for an arm that was not calibrated."""
+    if arm.simulated and not simulated_anyway:
+        raise ConfigError(
+            "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
+            "give that of a real arm (or --simulated-anyway for a program, --dry-run for a check)"
+        )
+    if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:
+        raise ConfigError(
+            "this result holds the nominal arm (its hand-eye alone was calibrated), which nothing corrects or checks; "
+            "give the result of a calibration of the arm, by joint angles and without --hand-eye-only"
+        )
+
+
 def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None:
     """Before and after, where a calibrated arm steered the run of this folder; None if it did not, or the recording cannot show it."""
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan
-
     kept = read_kept_plan(folder).corrected
     return None if kept is None else read_targets(kept).improvement(obs)
 
@@ -141,8 +153,6 @@ def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None
 def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTargets | None:
     """The corrected targets of a run that goes on: those it began with, as its folder or its recordings hold them. given: by this call.
     Raises ConfigError if the two do not belong into one recording."""
-    from mbcacq.recording.run_folder.run_plan import read_kept_plan
-
     kept = read_kept_plan(folder)
     before = None if kept.corrected is None else read_targets(kept.corrected)
     if given is None or kept.files is None:  # lost in the folder and in its recordings: taken to be as in this run

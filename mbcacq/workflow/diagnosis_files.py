@@ -16,6 +16,9 @@ from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis, write_diagnosis
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
+from mbcacq.report.cards import diagnosis_cards
+from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_motion import motion_content
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
@@ -32,9 +35,6 @@ def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
 
 
 def _drawn(found: MotionDiagnosis) -> MotionDrawn:
-    from mbcacq.report.cards import diagnosis_cards
-    from mbcacq.report.sources.from_motion import motion_content
-
     titles = {kind: capitalised(text) for kind, text in CHANNELS.items()}
     return MotionDrawn(found.series, diagnosis_cards(motion_content(found)), titles)
 
@@ -54,7 +54,4 @@ def keep_in_run(content: dict[str, Any], cards: str, pictures: dict[str, Any], o
 
 def cards_of(found: Diagnosis) -> str:
     """The diagnosis of poses as Markdown for the viewer: a card an effect."""
-    from mbcacq.report.cards import diagnosis_cards
-    from mbcacq.report.sources.from_diagnosis import diagnosis_content
-
     return diagnosis_cards(diagnosis_content(found, None))

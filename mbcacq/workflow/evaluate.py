@@ -12,19 +12,22 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.verification import Verification
 from mbcacq.calibration.workspace_accuracy import accuracy_map
-from mbcacq.errors import CalibrationError, command_line
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
+from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.recovery import WHOLE
 from mbcacq.report import write_report_page
 from mbcacq.report.cards import verdict_card
 from mbcacq.report.content import Content
+from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.corrected_targets import improvement_of_run
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, counted_joints
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -96,16 +99,11 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
     The plan's phases and stations decide the parameters that are calibrated (``options_for``). limit_mm: the plan's limit of the sphere
     spacing error. progress: gets a sentence a step.
     """
-    from mbcacq.recording.rrd.reader import opened_once
-
     with opened_once():
         return _evaluated(run, limit_mm, progress)
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
-    from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report.sources.from_result import content_of
-
     progress("reading the recording")
     observations = as_observations(run)
     progress("calibrating and verifying")
@@ -118,6 +116,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
         "verification": verification.to_dict(),
         "accuracy_map": accuracy_map(calibration, calibration.fit.observations).to_dict(),
         "gaps": find_gaps(run),
+        **counted_joints(run, observations.cell.robot.n),
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
@@ -130,11 +129,8 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     show_in_viewer(run, observations, calibration, page, compared=options.kinematics)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
-    next_step = ("", "") if page.next is None else (page.next.what, page.next.command)
-    if any(artefact.is_part for artefact in observations.cell.artefacts):
-        next_step = "merge the scans of the part", command_line("merge", run)
     return RunResult(
-        folder=run, calibration=calibration, verification=verification, content=content, limit_mm=limit_mm, next_step=next_step
+        folder=run, calibration=calibration, verification=verification, content=content, limit_mm=limit_mm, next_step=page.next_step()
     )
 
 

@@ -17,6 +17,8 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.cell_writer import artefact_to_yaml
 from mbcacq.recording.datasets.observation_set import write_observation_set
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.scan_export import scans_to_write
+from mbcacq.recording.rrd.trajectory_recording import export_trajectory
 from mbcacq.workflow.load import load_observations, refuse_existing
 
 Source = CalibratedCell | Observations | Path | str
@@ -128,8 +130,6 @@ def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, A
         measured = source if isinstance(source, Observations) else load_observations(source)
     clouds = {}
     if scans:
-        from mbcacq.recording.rrd.scan_export import scans_to_write
-
         clouds = scans_to_write(_path(source, "its scans"))
     write_observation_set(measured, folder, clouds)
     marks = {"simulated": True} if measured.cell.simulated else {}
@@ -140,8 +140,6 @@ def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, A
 
 
 def _trajectory(source: Source, folder: Path) -> dict[str, Any]:
-    from mbcacq.recording.rrd.trajectory_recording import export_trajectory
-
     return {"file": str(folder), "samples": export_trajectory(_path(source, "its controller cycles"), folder)}
 
 

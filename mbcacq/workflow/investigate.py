@@ -25,6 +25,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
+from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import named_run_folder, new_run_folder, plan_acquisition
@@ -75,8 +76,6 @@ class CellInvestigation:
 
     def __iter__(self) -> Iterator[Decision]:
         """Decisions, those of an interrupted investigation first. Raises what a run raises."""
-        from mbcacq.recording.run_folder.lock import write_lock
-
         before = tuple(self.decisions)
         with ExitStack() as held:
 
@@ -102,8 +101,6 @@ class CellInvestigation:
 
     def finish(self) -> RunResult:
         """Measure the plan's poses that judge the calibration, calibrate and verify the cell, and write the page on how it was found."""
-        from mbcacq.recording.run_folder.lock import write_lock
-
         judging = [] if self.begun_from_run else [s for s in yaml12.load(self.loaded.text)["steps"] if s["phase"] == "verification"]
         with write_lock(self.folder, "investigate"):
             if judging:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,13 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory, moves
+from mbcacq.model.yaml_source import parse
+from mbcacq.plan.controller_joints import matrix_of
+from mbcacq.plan.schema import ControllerJoints
 from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
 from mbcacq.recording.rrd import layout
-from mbcacq.workflow.part_scenes import scenes_as_observations
+from mbcacq.recording.run_folder.run_plan import PLAN
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -63,8 +67,6 @@ def load_trajectories(*paths: Path | str) -> list[Trajectory]:
     ConfigError
         A path holds no trajectory, or its content has a fault.
     """
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
-
     found: list[Trajectory] = []
     for path in map(Path, paths):
         if is_trajectory_set(path):
@@ -103,6 +105,8 @@ def as_observations(data: Observations | Path | str) -> Observations:
     found = load_observations(data)
     if found.n_centres or not any(artefact.is_part for artefact in found.cell.artefacts):
         return found
+
+    from mbcacq.workflow.part_scenes import scenes_as_observations  # registration, which few recordings need
 
     return scenes_as_observations(Path(data), found)
 
@@ -143,3 +147,20 @@ def refuse_existing(path: Path, force: bool, sentence: str) -> None:
     """Raises ConfigError with ``sentence`` where ``path`` exists and must not be replaced."""
     if path.exists() and not force:
         raise ConfigError(sentence)
+
+
+def counted_joints(run: Path, n: int) -> dict[str, Any]:
+    """'controller_joints' of a result: how the controller of an arm with n axes counts them, as the plan kept in a run folder states it.
+
+    matrix: (n, n); offset_deg: (n,), so that angles = matrix q + offset. Empty where the model counts alike, or ``run`` keeps no plan.
+    """
+    try:
+        text = (run / PLAN).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return {}
+    robot = parse(text, run / PLAN).data.get("robot")
+    stated = robot.get("controller_joints") if isinstance(robot, Mapping) else None
+    if not stated:
+        return {}
+    A, offset = matrix_of(ControllerJoints.model_validate(stated), n, ConfigError)
+    return {"controller_joints": {"matrix": A.tolist(), "offset_deg": offset.tolist()}}

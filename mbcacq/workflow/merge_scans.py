@@ -22,6 +22,7 @@ from mbcacq.parts.cad import CadDeviations, compare_with_cad
 from mbcacq.parts.merge import Merged, merge
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.placement import CommonMotion, placements
+from mbcacq.plan.schema import StationPlace
 from mbcacq.quantities import capitalised
 from mbcacq.recording import load_observations
 from mbcacq.workflow.load import as_cell
@@ -158,8 +159,6 @@ def merge_scans(
 
 def _planned_place(source: Path, station: str) -> np.ndarray:
     """T_base_part (4, 4) of a run's plan or of an observation set's cell. Raises ConfigError where neither says it."""
-    from mbcacq.plan.schema import StationPlace
-
     text = source / "plan.yaml"
     if text.is_file():
         places = yaml12.load(text.read_text(encoding="utf-8")).get("stations", ())

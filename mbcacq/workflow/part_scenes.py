@@ -20,6 +20,7 @@ from mbcacq.parts.placement import CellPlacement
 from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of, thinned
 from mbcacq.parts.scene import register
 from mbcacq.quantities import micrometres
+from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.spheres.cloud_file import SMALL, SMALLEST_MM
 from mbcacq.spheres.cloud_files import SUFFIXES, read_points
 
@@ -129,8 +130,6 @@ def scans_at(source: Path, observations: Observations, station: str) -> Scans:
 
 def _of_run(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartScan]:
     """Scans of a recording; the exposures of a pose one after the other."""
-    from mbcacq.recording.rrd.reader import open_recordings
-
     for recording in open_recordings(source):
         for taken in recording.scans():
             if taken.pose in of_pose and len(taken.scan.points):

@@ -15,11 +15,14 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.exports.result_json import load_result
 from mbcacq.model.observations import Observations
+from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.latest import refuse_plan
+from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.report import report_from_result, write_check_page
+from mbcacq.report import write_check_page, write_report_page
 from mbcacq.report.sources.check_result import read_check_result
+from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
 from mbcacq.workflow.load import as_observations, is_run_folder, unsealed_note
@@ -58,9 +61,13 @@ def write_report(
     RecordingError
         The file cannot be written, or another process writes in the run folder.
     """
-    from mbcacq.recording.rrd.reader import opened_once
-    from mbcacq.recording.run_folder.lock import write_lock
+    return report_and_next(data, out, diagnose, progress)[0]
 
+
+def report_and_next(
+    data: CalibratedCell | Path | str, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
+) -> tuple[Path, tuple[str, str]]:
+    """As ``write_report``, with what its page proposes next, in words, and the command for that."""
     run = None if isinstance(data, CalibratedCell) else Path(data)
     if out is None and run is None:
         raise ConfigError("a calibration has no folder; say where the report is to go")
@@ -69,14 +76,15 @@ def write_report(
         raise ConfigError(f"{run} is a file, no folder; say where the report is to go with --out")
     if run is not None and run.is_dir() and kind_of(run) is RunKind.CHECK and not (run / "result.json").exists():
         with write_lock(run, "report"):
-            return write_check_page(read_check_result(run), run / "report.html" if out is None else out)
+            kept = read_check_result(run)
+            return write_check_page(kept, run / "report.html" if out is None else out), tuple(kept["next"])
     with write_lock(run, "report") if run is not None and is_run_folder(run) else nullcontext(), opened_once():
         return _write(data, run, out, diagnose, progress)
 
 
 def _write(
     data: CalibratedCell | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
-) -> Path:
+) -> tuple[Path, tuple[str, str]]:
     """The report; whoever calls holds the lock of the run folder."""
     progress("reading the recording")
     observations = data.fit.observations if isinstance(data, CalibratedCell) else as_observations(data)
@@ -91,7 +99,8 @@ def _write(
         info |= _diagnosis(observations, run, progress)
     progress("drawing the report")
     target = Path(out) if out is not None else Path(run or "") / "report.html"
-    return report_from_result(result, path=target, observations=observations, run_info=info)
+    page = content_of(result, observations, info)
+    return write_report_page(page, target), page.next_step()
 
 
 def _result(data: CalibratedCell | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:

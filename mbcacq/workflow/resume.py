@@ -11,6 +11,7 @@ from mbcacq.errors import RecordingError
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.recording.run_folder.progress import Progress, repair_and_read_progress
+from mbcacq.recording.run_folder.recovery import make_readable
 from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 from mbcacq.workflow.load import load_observations
 
@@ -77,8 +78,6 @@ def measured_balls(folder: Path, loaded: LoadedPlan, done: frozenset[int]) -> di
 
 def merge_parts(folder: Path, message: Callable[[str], None]) -> None:
     """Merge the parts of a resumed run into one recording, whole.rrd; ``message`` gets a sentence where the disk does not take it."""
-    from mbcacq.recording.run_folder.recovery import make_readable
-
     try:
         make_readable(folder)
     except RecordingError as error:

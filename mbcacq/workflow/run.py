@@ -17,6 +17,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.plan.motion_preview import Swept
+from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import Acquisition, new_run_folder, plan_acquisition
@@ -151,8 +152,6 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")
-    from mbcacq.recording.run_folder.lock import write_lock
-
     refuse_small_address_space()
     operator = operator or Operator()
     loaded = as_plan(plan)

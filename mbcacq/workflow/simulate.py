@@ -19,6 +19,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, path, refuse_errors
+from mbcacq.plan.summary import summary
 from mbcacq.workflow.acquire import solver_cell
 from mbcacq.workflow.load import as_plan, as_result
 
@@ -65,8 +66,6 @@ def simulate_poses(
     that is written has no placements of stations, as in a run. It states the scatter of a centre, for a solver that has no scatter to
     estimate it from. Raises ConfigError where result and plan do not match.
     """
-    from mbcacq.plan.summary import summary
-
     starts = {p["pose"]: p["start_s"] for p in summary(loaded, poses)["poses"]}
     blank = planned_observations(loaded, poses, path(loaded, poses), [starts[p.number] for p in poses])
     state = cell_state(loaded, result)

@@ -74,7 +74,7 @@ def test_polled_sensor_and_identity(monkeypatch):
         with SerialSensor("s", "", spec) as sensor:
             assert sensor.read() == {"air_C": 1.25, "robot_C": -3.0}
     ScriptedLine(lambda heard: (0.01, b"ACME,PT100,7\n")).install(monkeypatch)
-    wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 3.0}
+    wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 20.0}
     with pytest.raises(IdentityError, match="ACME,PT100,7"):
         SerialSensor("s", "", wrong).connect()
 

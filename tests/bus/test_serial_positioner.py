@@ -164,7 +164,7 @@ def scripted(monkeypatch):
     ],
 )
 def test_noise_on_the_line_is_an_error_and_never_a_position(scripted, said, error, words):
-    line, positioner = scripted(lambda heard: b"LIFT 3000\r\n" if heard == "*IDN?" else said, fault=None, timeout_s=2.0)
+    line, positioner = scripted(lambda heard: b"LIFT 3000\r\n" if heard == "*IDN?" else said, fault=None, timeout_s=4.0)
     with pytest.raises(error, match=words):
         positioner.go_to("2", "")
     assert line.heard[-1] == "MA 15250"

@@ -95,7 +95,7 @@ def _modbus(fake: FakeModbus, given: dict[str, Any], driver: type, rtu: bool = F
     cuts = {} if rtu else {"cut": MBAP, "cut_driver": MBAP}
     with fake, TcpProxy(Channel("modbus"), fake.address, **cuts) as proxy:
         where = {"serial": f"socket://127.0.0.1:{proxy.port}"} if rtu else {"host": "127.0.0.1", "port": proxy.port}
-        yield lambda **o: driver("lift", "L4", {**where, **given, "timeout_s": 3.0, "retries": 1, **o}), {"modbus": proxy}
+        yield lambda **o: driver("lift", "L4", {**where, **given, "timeout_s": 15.0, "retries": 1, **o}), {"modbus": proxy}
 
 
 class Thermometer(dict):

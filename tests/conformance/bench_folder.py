@@ -34,7 +34,7 @@ def folder() -> Iterator[Stand]:
         program = stack.enter_context(FakeScannerProgram(source, place))
         proxy = stack.enter_context(TcpProxy(Channel("trigger"), ("127.0.0.1", program.port)))
         trigger = {"tcp": f"127.0.0.1:{proxy.port}", "reply": "OK"}
-        given = {"folder": place, "pattern": "*.ply", "trigger": trigger, "quiet_s": 0.05, "read_cloud": read_points, "timeout_s": 15.0}
+        given = {"folder": place, "pattern": "*.ply", "trigger": trigger, "quiet_s": 0.05, "read_cloud": read_points, "timeout_s": 60.0}
         given["watched"] = [calibration]
 
         def use(scanner: FolderScanner) -> None:

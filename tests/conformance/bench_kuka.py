@@ -53,7 +53,7 @@ def kuka_rsi(**krc: Any) -> Iterator[Stand]:
     with ExitStack() as stack:
         port = free_port()
         proxies: dict[str, Any] = {"rsi": stack.enter_context(UdpProxy(Channel("rsi"), ("127.0.0.1", port)))}
-        given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 2.0}
+        given: dict[str, Any] = {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 15.0}
         fake = stack.enter_context(
             FakeKrc(
                 client=proxies["rsi"].address,
@@ -107,8 +107,8 @@ def kuka_eki() -> Iterator[Stand]:
             "port": proxy.port,
             "limits_deg": EKI_LIMITS_DEG,
             "speed_deg_s": SPEED_DEG_S,
-            "silence_s": 2.0,
-            "reconnect_s": 4.0,
+            "silence_s": 15.0,
+            "reconnect_s": 15.0,
             "connect_timeout_s": 20.0,
         }
         made = []

@@ -60,7 +60,6 @@ def profiles(kind: str, **more: Any) -> Iterator[Stand]:
             world.time_s += PAUSE_S
             scanner.start_profiles()
             try:
-                time.sleep(0.05)  # the sensor's thread looks at the clock
                 world.time_s += SWEEP_S
             finally:
                 scanner.end_profiles()

@@ -26,7 +26,7 @@ def ur_rtde() -> Iterator[Stand]:
         made: list[UrRtdeRobot] = []
 
         def make(**more: Any) -> UrRtdeRobot:
-            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": ALL_ROUND, "silence_s": 3.0, **more}
+            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": ALL_ROUND, "silence_s": 15.0, **more}
             made.append(UrRtdeRobot("arm", "UR10e", options))
             return made[-1]
 

@@ -149,7 +149,7 @@ def test_a_fault_befalls_one_message_only(action, arrives):
                 there.sendall(b"ab\ncd\nef\n")
                 if action != "close":
                     there.shutdown(socket.SHUT_WR)
-                driver.settimeout(10)
+                driver.settimeout(60.0)
                 got = b"".join(iter(lambda: driver.recv(100), b""))
     assert got == b"".join(arrives)
     assert proxy.channel.struck == 1
@@ -163,7 +163,7 @@ def test_what_is_held_goes_to_no_other_connection():
             for driver, text in ((idle, b"first\n"), (asking, b"second\n")):
                 driver.sendall(text)
                 there, _ = device.accept()
-                there.settimeout(10.0)
+                there.settimeout(60.0)
                 ends[there.recv(100)] = there
             proxy.channel.set("join", "driver")
             asking.sendall(b"cloud\n")
@@ -179,7 +179,7 @@ def test_what_is_held_arrives_although_its_sender_ends():
             driver.sendall(b"cloud\n")
         there, _ = device.accept()
         with there:
-            there.settimeout(10.0)
+            there.settimeout(60.0)
             assert there.recv(100) == b"cloud\n"
 
 
@@ -209,7 +209,7 @@ def test_datagrams_and_serial_lines_pass_too():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as driver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
         for sock in (driver, device):
             sock.bind(("127.0.0.1", 0))
-            sock.settimeout(10)
+            sock.settimeout(60.0)
         with UdpProxy(Channel("rsi"), driver.getsockname()) as proxy:
             device.sendto(b"telegram", proxy.address)
             data, back = driver.recvfrom(100)
@@ -222,7 +222,7 @@ def test_datagrams_and_serial_lines_pass_too():
             there.sendall(b"T=1\n")
             assert port.read(100) == b"T=1\n"
             port.write(b"T?\n")
-            there.settimeout(10)
+            there.settimeout(60.0)
             assert there.recv(100) == b"T?\n"
 
 

@@ -21,6 +21,8 @@ from mbcacq.model.cell import Artefact, Cell, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import uncertainty
 from mbcacq.recording.datasets.cell_yaml import robot_of
+from mbcacq.workflow.arm_positions import typed_joints
+from mbcacq.workflow.load import counted_joints
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])
@@ -68,6 +70,16 @@ def test_wrong_joints_are_refused(solved):
         place_scan(solved[0], Q[:5], np.zeros((1, 3)))
     with pytest.raises(ConfigError, match="not a finite number"):
         place_scan(solved[0], Q * np.nan, np.zeros((1, 3)))
+
+
+def test_joint_angles_count_as_the_plan_of_the_run_says_that_the_controller_counts_them(solved, tmp_path):
+    """FANUC: J3 = q3 - q2, from the horizontal; here J6 = q6 + 90 deg beside it."""
+    counts = "{couplings: [{axis: 3, of: 2, factor: -1}], offset_deg: [0, 0, 0, 0, 0, 90]}"
+    (tmp_path / "plan.yaml").write_text(f"robot:\n  controller_joints: {counts}\n")
+    of_a_run = {**solved[0], **counted_joints(tmp_path, 6)}
+    np.testing.assert_allclose(typed_joints("10,20,-30,5,45,100", of_a_run).q, np.radians([10, 20, -10, 5, 45, 10]))
+    on_a_track = {**solved[0], "robot": {**solved[0]["robot"], "sliding": [0]}}
+    np.testing.assert_allclose(typed_joints("1500,20,-30,5,45,100", on_a_track).q, [1500, *np.radians([20, -30, 5, 45, 100])])
 
 
 @pytest.mark.parametrize(("joint", "angle"), [(0, 170.1), (2, -171.0), (5, 361.0)])

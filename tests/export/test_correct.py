@@ -160,6 +160,15 @@ def test_poses_without_angles_find_some(tmp_path):
     assert ",false," in last
 
 
+def test_a_point_that_is_programmed_beyond_a_limit_stays_although_a_turn_back_is_within(tmp_path):
+    program = tmp_path / "turned.src"
+    program.write_text("PTP {A1 10,A2 -80,A3 70,A4 15,A5 40,A6 -5}\nPTP {A1 500,A2 -80,A3 70,A4 15,A5 40,A6 -5}\n")
+    done = correct(program, result())
+    assert [point.reached for point in done.points] == [True, False]
+    assert done.points[1].reason == "A1 is programmed beyond its limits"
+    assert "{A1 500,A2 -80" in done.file.read_text()
+
+
 def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
     program = tmp_path / "edge.src"
     program.write_text("PTP {A1 170.0,A2 -80,A3 70,A4 15,A5 40,A6 -5}\n")

@@ -8,6 +8,8 @@ from mbcacq_fakes.protocols.krc.server import FakeEkiController, FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 
+PATIENT = {"silence_s": 20.0, "connect_timeout_s": 20.0}  # a busy computer may give a fake no turn for seconds
+
 
 @pytest.fixture
 def cell():
@@ -19,9 +21,7 @@ def cell():
         fake = FakeKrc(
             **{"client": ("127.0.0.1", port), "realtime": False, "limits_deg": LIMITS_DEG, "start_deg": tuple(HOME_DEG), **(krc or {})}
         )
-        driver = KukaRsi(
-            "arm", "test", {"limits_deg": LIMITS_DEG, "port": port, "silence_s": 1.5, "connect_timeout_s": 20.0, **(robot or {})}
-        )
+        driver = KukaRsi("arm", "test", {"limits_deg": LIMITS_DEG, "port": port, **PATIENT, **(robot or {})})
         opened.extend([fake.start(), driver])
         driver.connect()
         return fake, driver
@@ -47,9 +47,8 @@ def eki_cell():
             "limits_deg": EKI_LIMITS_DEG,
             "speed_deg_s": SPEED_DEG_S,
             "kinematics": DH,
-            "silence_s": 2.0,
-            "connect_timeout_s": 20.0,
-            "reconnect_s": 4.0,
+            **PATIENT,
+            "reconnect_s": 30.0,
             **(robot or {}),
         }
         driver = KukaEki("arm", "KR 10 R1100-2", options)

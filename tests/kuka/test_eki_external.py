@@ -104,7 +104,7 @@ def test_the_program_on_the_controller_keeps_limits_of_its_own(cell):
     ],
 )
 def test_a_fault_on_the_way_stops_the_track(cell, fault, kind):
-    fake, robot = cell()
+    fake, robot = cell(robot={"silence_s": 2.0} if "silence" in fault else {})
     robot.move_to(START + np.array([0, 1400.0, *(0.0,) * 6]), limits(speed=(20.0, 50.0, *(20.0,) * 6)))
     wait(lambda: robot.state().q[1] > 1502.0)
     fake.inject(**fault)

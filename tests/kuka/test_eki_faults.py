@@ -15,7 +15,7 @@ SURVIVED = [{"split": 1}, {"merge": 1}, {"garbage": 3}, {"duplicate": 3}, {"drop
 
 @pytest.mark.parametrize("fault", SURVIVED)
 def test_faults_of_the_wire_that_are_none(eki_cell, fault):
-    fake, robot = eki_cell(robot={"silence_s": 20.0})  # a busy computer may give the fake no turn for seconds
+    fake, robot = eki_cell()
     fake.inject(**fault)
     robot.move_to(FAR, motion_limits())
     arrive(robot)
@@ -39,8 +39,8 @@ def test_faults_of_the_wire_that_are_none(eki_cell, fault):
     ],
 )
 def test_a_fault_on_the_way_stops_the_arm(eki_cell, fault, kind, says):
-    fake, robot = eki_cell()
-    on_the_way(robot, motion_limits(speed=1.0))  # so slow that a busy computer, too, injects the fault before the arm is there
+    fake, robot = eki_cell(robot={"silence_s": 2.0} if "silence" in fault else {})
+    on_the_way(fake, robot)
     fake.inject(**fault)
     error = until_error(robot)
     assert type(error) is kind
@@ -56,7 +56,7 @@ def test_a_fault_on_the_way_stops_the_arm(eki_cell, fault, kind, says):
 
 def test_a_program_started_again_ends_the_run(eki_cell):
     fake, robot = eki_cell()
-    on_the_way(robot)
+    on_the_way(fake, robot)
     fake.inject(restart=1)
     error = until_error(robot)
     assert isinstance(error, DeviceFault)  # which of the two is seen first is chance
@@ -68,7 +68,7 @@ def test_a_program_started_again_ends_the_run(eki_cell):
     ("fault", "says"), [({"ignore": 1}, "does not begin it"), ({"short_deg": 0.5}, "times the tolerance away"), ({"deaf": 1}, None)]
 )
 def test_an_arm_that_does_not_do_it(eki_cell, fault, says):
-    fake, robot = eki_cell(controller={"realtime": True} if "deaf" in fault else {})
+    fake, robot = eki_cell(**{"controller": {"realtime": True}, "robot": {"silence_s": 2.0}} if "deaf" in fault else {})
     fake.inject(**fault)
     robot.move_to(FAR, motion_limits())
     error = until_error(robot)
@@ -100,7 +100,7 @@ def test_a_connection_lost_at_rest_is_taken_up_again(eki_cell, system, fault):
 
 
 def test_a_controller_that_does_not_come_back(eki_cell):
-    fake, robot = eki_cell(robot={"reconnect_s": 0.5, "silence_s": 20.0})  # a busy computer may give the fake no turn for seconds
+    fake, robot = eki_cell(robot={"reconnect_s": 0.5})
     fake.inject(refuse=1, close=1)
     error = until_error(robot)
     assert type(error) is DeviceTimeout

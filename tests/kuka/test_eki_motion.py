@@ -35,7 +35,7 @@ def test_it_moves_and_arrives_when_the_arm_stands_there(eki_cell, system):
 
 def test_a_new_target_on_the_way_stops_and_turns(eki_cell):
     fake, robot = eki_cell()
-    on_the_way(robot)
+    on_the_way(fake, robot)
     robot.move_to(HOME, motion_limits())
     arrive(robot)
     assert max(np.degrees(robot.cycles().columns["q"][:, 0])) < 4.0
@@ -55,7 +55,7 @@ def test_speed_is_a_share_of_the_slowest_axis(eki_cell):
 def test_stop_from_anywhere_any_number_of_times(eki_cell):
     fake, robot = eki_cell()
     robot.stop()
-    on_the_way(robot)
+    on_the_way(fake, robot)
     threads = [threading.Thread(target=lambda: [robot.stop() for _ in range(50)]) for _ in range(4)]
     for thread in threads:
         thread.start()
@@ -75,12 +75,13 @@ def test_stop_from_anywhere_any_number_of_times(eki_cell):
 
 def test_closing_on_the_way_waits_until_the_arm_stands(eki_cell):
     fake, robot = eki_cell()
-    on_the_way(robot)
+    on_the_way(fake, robot)
     robot.close()
     assert fake.state.read().standstill
     assert np.degrees(fake.state.read().q[0]) < 4.8
     with pytest.raises(ConnectError, match="call connect first"):
         robot.state()
+    fake.inject(override=100)
     robot.connect()
     robot.move_to(HOME, motion_limits())
     arrive(robot)

@@ -96,7 +96,7 @@ def test_whatever_stops_the_arm_switches_it_off(bench, end):
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_driver_switches_while_the_arm_moves_and_stop_ends_both(eki_cell, system):
     fake, robot = eki_cell(system, controller={"sources": with_outputs(system, 3)}, robot={"digital_outputs": [3]})
-    on_the_way(robot)
+    on_the_way(fake, robot)
     robot.set_output(3, True)
     assert fake.state.output(3) == (True, 1)
     robot.stop()
@@ -138,11 +138,8 @@ def test_a_controller_that_does_not_acknowledge_is_stopped(eki_cell):
     wait(lambda: fake.state.output(3) == (False, 1))
 
 
-PATIENT = {"silence_s": 20.0, "reconnect_s": 30.0}  # a busy computer may give the fake no turn for seconds
-
-
 def test_a_connection_that_is_lost_in_a_pulse_leaves_it_off(eki_cell):
-    fake, robot = eki_cell(controller={"sources": with_outputs("kss", 3)}, robot={"digital_outputs": [3], **PATIENT})
+    fake, robot = eki_cell(controller={"sources": with_outputs("kss", 3)}, robot={"digital_outputs": [3]})
     robot.set_output(3, True)
     fake.inject(reset=1)
     wait(lambda: not fake.state.output(3)[0])

@@ -19,7 +19,7 @@ class Client:
     def __init__(self):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(10.0)
+        self.socket.settimeout(60.0)
         self.address = self.socket.getsockname()
         self.last = None
 
@@ -38,7 +38,7 @@ class Client:
         except BlockingIOError:
             return data
         finally:
-            self.socket.settimeout(10.0)
+            self.socket.settimeout(60.0)
 
     def answer(self, body=b"", ipoc=None, sen=b"ImFree"):
         ipoc = self.last[1] if ipoc is None else ipoc

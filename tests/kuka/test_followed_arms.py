@@ -25,7 +25,7 @@ def refuses_to_move(robot, q):
 
 def test_rsi_answers_with_corrections_of_zero_while_another_program_moves_the_arm():
     port, target = free_port(), np.radians(HOME_DEG + [6, -4, 5, 0, 3, 0])
-    options = {"limits_deg": LIMITS_DEG, "port": port, "follow": True, "silence_s": 3.0, "connect_timeout_s": 20.0}
+    options = {"limits_deg": LIMITS_DEG, "port": port, "follow": True, "silence_s": 20.0, "connect_timeout_s": 20.0}
     with FakeKrc(client=("127.0.0.1", port), realtime=False, limits_deg=LIMITS_DEG, start_deg=tuple(HOME_DEG), log=True) as krc:
         with KukaRsi("arm", "test", options) as robot:
             refuses_to_move(robot, target)
@@ -52,7 +52,7 @@ def test_eki_needs_the_link_program_alone_and_sends_signs_of_life_only():
         TcpProxy(Channel("eki", note), ("127.0.0.1", krc.port), cut=ended(b"</Robot>"), cut_driver=ended(b"</Command>")) as proxy,
     ):
         options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "kinematics": DH}
-        with KukaEki("arm", "KR 10 R1100-2", {**options, "follow": True, "silence_s": 3.0, "connect_timeout_s": 20.0}) as robot:
+        with KukaEki("arm", "KR 10 R1100-2", {**options, "follow": True, "silence_s": 20.0, "connect_timeout_s": 20.0}) as robot:
             refuses_to_move(robot, target)
             krc.lead(target)
             wait(lambda: np.abs(robot.state().q - target).max() < 2e-5)
@@ -68,7 +68,7 @@ def test_rtde_agrees_on_no_registers_and_is_silent_after_the_start():
     cut = counted(size=2, order="big")
     with FakeUrController(start_deg=start, runtime_state=1) as fake:  # stopped: no program of ours runs on it
         with TcpProxy(Channel("rtde", note), ("127.0.0.1", fake.port), cut=cut, cut_driver=cut) as proxy:
-            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0, "follow": True}
+            options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 20.0, "follow": True}
             with UrRtdeRobot("arm", "UR10e", options) as robot:
                 refuses_to_move(robot, target)
                 fake.inject(runtime_state=2)  # a program of its own, or a person

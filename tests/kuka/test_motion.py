@@ -27,7 +27,7 @@ def within_limits(path, speed, acceleration, jerk):
 @pytest.mark.parametrize("realtime", [False, True])
 def test_a_motion_obeys_its_limits_and_arrives(cell, realtime):
     by_the_clock = {"realtime": realtime, "stretch": 4.0, "timeout": 10**6}  # slowly, as the machine may be busy
-    krc, robot = cell({"log": True, **by_the_clock}, {"late_limit": 10**6, "silence_s": 20.0})
+    krc, robot = cell({"log": True, **by_the_clock}, {"late_limit": 10**6})
     assert isinstance(robot, Robot)
     target = np.radians(HOME_DEG + [25.0, 12.0, -20.0, 40.0, -35.0, 60.0])
     robot.move_to(target, motion_limits(90.0, 360.0, 3600.0))

@@ -109,7 +109,7 @@ def test_our_driver_moves_the_rsipi_server(tmp_path):
             assert columns["ipoc"][0] >= 123456
             assert {"DiL", "Digout", "RIst", "RSol"} <= set(columns)
     finally:
-        server.communicate(timeout=10)
+        server.communicate(timeout=900)
 
 
 class CountingSimulator(threading.Thread):

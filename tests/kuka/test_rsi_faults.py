@@ -45,7 +45,7 @@ def stands(krc):
     ],
 )
 def test_a_fault_on_the_way_stops_the_arm(cell, fault, kind, text):
-    krc, robot = cell()
+    krc, robot = cell(robot={"silence_s": 1.5} if text == "no telegram for" else {})
     on_the_way(robot)
     krc.inject(**fault)
     error = until_error(robot)
@@ -98,7 +98,7 @@ def test_a_clamped_correction_stops_the_arm(cell):
 
 
 def test_the_correction_monitor_of_the_controller_ends_the_run(cell):
-    krc, robot = cell({"monitor_deg": 20.0})
+    krc, robot = cell({"monitor_deg": 20.0, "rearm_s": 600.0}, {"silence_s": 1.5})
     robot.move_to(FAR, motion_limits())
     assert type(until_error(robot)) is DeviceTimeout
     assert krc.state.read().fault == "permissible overall correction exceeded"
@@ -106,7 +106,7 @@ def test_the_correction_monitor_of_the_controller_ends_the_run(cell):
 
 
 def test_a_controller_slower_than_the_plan_ends_the_run(cell):
-    krc, robot = cell({"speed_deg_s": (30.0,) * 6})
+    krc, robot = cell({"speed_deg_s": (30.0,) * 6, "rearm_s": 600.0}, {"silence_s": 1.5})
     robot.move_to(FAR, motion_limits())
     assert type(until_error(robot)) is DeviceTimeout
     assert krc.state.read().fault == "overspeed: command velocity"

@@ -91,7 +91,7 @@ def test_answers_that_are_lost_switch_it_off_and_the_next_one_on_again(cell):
 
 
 def test_a_controller_that_switches_nothing_is_named_and_asked_no_longer(cell):
-    krc, robot = cell(krc={"digital_outputs": (3,)}, robot={"digital_outputs": [3]})
+    krc, robot = cell(krc={"digital_outputs": (3,)}, robot={"digital_outputs": [3], "silence_s": 5.0})
     krc.inject(stuck=1)
     with pytest.raises(DeviceTimeout, match="output 3 was switched on, but the controller reports it off; is it write-protected"):
         robot.set_output(3, True)

@@ -27,7 +27,7 @@ def mbcacq(site, *arguments):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=900,
         stdin=subprocess.DEVNULL,
     )
 

@@ -248,12 +248,8 @@ def _one_view(part, clouds):
     return replace(part, q=np.tile(part.q[0], (len(part.q), 1))), {k: clouds[int(part.pose_id[0])] for k in clouds}
 
 
-def _in_metres(part, clouds):
-    return part, {k: points / 1000 for k, points in clouds.items()}
-
-
-def _in_inches(part, clouds):
-    return part, {k: points / 25.4 for k, points in clouds.items()}
+def _in_units_of(mm):
+    return lambda part, clouds: (part, {k: points / mm for k, points in clouds.items()})
 
 
 @pytest.mark.parametrize(
@@ -262,8 +258,8 @@ def _in_inches(part, clouds):
         (_one_alone, "no two scans of this part overlap"),
         (_each_elsewhere, "no two scans of this part overlap"),
         (_one_view, "all scans were taken at the same joint angles"),
-        (_in_metres, "looks like metres; convert the clouds to mm"),
-        (_in_inches, "looks like inches; convert the clouds to mm"),
+        (_in_units_of(1000), "looks like metres; convert the clouds to mm"),
+        (_in_units_of(25.4), "looks like inches; convert the clouds to mm"),
     ],
 )
 def test_scans_that_say_nothing_of_the_cell_are_refused_in_a_sentence(run, part_alone, tmp_path, wrong, says):

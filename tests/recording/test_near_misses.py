@@ -61,7 +61,7 @@ def test_pictures_without_a_driver_name_the_package(monkeypatch):
 
     ended = subprocess.Popen([sys.executable, "-c", "raise SystemExit(102)"])
     ended.wait()
-    monkeypatch.setattr("rerun.experimental.ViewerClient", Client)
+    monkeypatch.setattr(open_viewer, "ViewerClient", Client)
     monkeypatch.setattr(open_viewer.rerun_program, "started", lambda *_: ended)
     monkeypatch.setattr(open_viewer, "kill", lambda child: None)
     monkeypatch.setattr(open_viewer, "has_vulkan", lambda: False)

@@ -12,23 +12,12 @@ from run_events import pose_done
 
 from mbcacq.acquisition import events
 from mbcacq.cli.app import app
-from mbcacq.cli.report import next_step
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.recording.run_folder.journal import Journal
 from mbcacq.report import report_from_result, write_diagnosis_page
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.run_folder import read_run_info
-
-
-def test_after_a_diagnosis_the_next_step_is_what_it_found_or_else_to_use_the_result(tmp_path):
-    (tmp_path / "result.json").write_text(json.dumps(make_result()))
-    (tmp_path / "run.rrd").touch()
-    for kept, what in (({}, "put the result to use"), ({"model": {"effects": []}}, "calibrate with what was found")):
-        (tmp_path / "diagnosis.json").write_text(json.dumps(kept))
-        assert next_step(tmp_path)[0] == what
-    (tmp_path / "diagnosis.json").unlink()
-    assert next_step(tmp_path)[0] == "ask which effects the model lacks"
 
 
 @pytest.fixture(scope="module")

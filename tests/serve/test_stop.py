@@ -42,7 +42,7 @@ def test_the_button_ends_a_run_in_order(client, measuring, stand_in, how, code):
     assert f"process {process.pid}" in page
     answer = client.post(address.replace("/run/", "/stop/"), data={"token": token_in(page)}, base_url=HERE)
     assert answer.status_code == 303
-    assert process.wait(timeout=60) == code
+    assert process.wait(timeout=900) == code
     assert progress_of(measuring).state == "broken off"  # the stand-in writes no journal; its lock is free again
     assert not (measuring / ".run.lock.json").exists()
 
@@ -85,7 +85,7 @@ def test_a_process_that_only_has_the_number_or_the_file_is_never_signalled(measu
         with pytest.raises(ConfigError, match="another program"):
             stop_run(measuring)
         assert progress_of(measuring).state == "broken off"
-        assert process.communicate("", timeout=60)[1] is None
+        assert process.communicate("", timeout=900)[1] is None
         assert process.returncode == 0  # it ended by itself, not by a signal
     finally:
         process.kill()
@@ -134,5 +134,5 @@ def test_in_a_browser_the_button_stops_the_run_and_the_page_says_so(runs, measur
             assert all(url.startswith(home) for url in browser.requests)
     finally:
         server.terminate()
-        server.communicate(timeout=60)
+        server.communicate(timeout=900)
     assert server.returncode == 0

@@ -30,7 +30,7 @@ def controller():
 
 
 def arm(controller, **more):
-    given = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0, "connect_timeout_s": 0.4}
+    given = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 20.0, "connect_timeout_s": 20.0}
     return UrRtdeRobot("arm", "UR10e", {**given, **more})
 
 
@@ -80,7 +80,7 @@ def test_a_controller_that_is_not_ready_says_why(state, sentence):
         FakeUrController(start_deg=HOME_DEG, realtime=True, **state) as controller,  # in lock-step it would send thousands of packages
         pytest.raises(ConnectError, match=sentence),
     ):
-        arm(controller).connect()
+        arm(controller, connect_timeout_s=2.0, silence_s=2.0).connect()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq_fakes.effects import make
 from mbcacq_fakes.world.camera import ArmReadout, Camera
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.noise import NoiseGrowth, ScannerNoise
@@ -73,6 +74,4 @@ def check(options: FakeOptions, facts: CellFacts) -> None:
 def _effects(options: FakeOptions) -> list:
     if not options.hidden:
         return []
-    from mbcacq_fakes.effects import make
-
     return [make(**h.model_dump()) for h in options.hidden]

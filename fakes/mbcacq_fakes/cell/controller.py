@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.acquisition.cell_devices import robot_options
 from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
+from mbcacq.workflow import controller_files
 from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.cell.simulated_robot import LedTarget
@@ -156,8 +157,6 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
 
 def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[str, Any], ports: str, seed: int) -> Any:
     """Runs the very programs that would be copied onto the real controller, in the cell that the plan expects."""
-    from mbcacq.workflow import controller_files
-
     files, facts, options = controller_files.make(loaded), controller_files.facts(loaded), dict(loaded.plan.robot.options)
     host, port = (LOOPBACK, 0) if ports == "free" else (str(options.get("address", LOOPBACK)), int(options.get("port", 54610)))
     tool, base = str(options.get("tool", 1)), str(options.get("base", 0))

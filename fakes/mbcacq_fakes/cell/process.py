@@ -23,6 +23,11 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import check, make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
+from mbcacq_fakes.protocols.bus.line_for import fill, names, template
+from mbcacq_fakes.protocols.bus.serial_line import SerialLine
+from mbcacq_fakes.protocols.folder import FakeScannerProgram
+from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.stall import HANGING_S
 from mbcacq_fakes.world.camera import Camera
@@ -126,8 +131,6 @@ class Servers:
 
     def _start_program(self) -> dict[str, Any]:
         """The scanner's own program, with a folder of its own."""
-        from mbcacq_fakes.protocols.folder import FakeScannerProgram
-
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
         given = self._job["scanner_options"].get("trigger") or {}
         output, state = given.get("output") if self._job["outputs"] else None, self._state
@@ -146,12 +149,8 @@ class Servers:
 
             line = LineCamera(self._camera, self._state)
         if self._job["scanner_driver"] == "gopxl":
-            from mbcacq_fakes.protocols.gopxl import FakeGoPxL, FakeGoPxLOptions
-
             _refuse_unknown(given, FakeGoPxLOptions)
             return FakeGoPxL(self._camera, FakeGoPxLOptions(**settings), lambda: 0.0, line)
-        from mbcacq_fakes.protocols.gocator import FakeGocator, FakeGocatorOptions
-
         _refuse_unknown(given, FakeGocatorOptions)
         return FakeGocator(self._camera, FakeGocatorOptions(**settings), line)
 
@@ -231,9 +230,6 @@ class Servers:
 
     def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.serial import SerialOptions
-
-        from mbcacq_fakes.protocols.bus.line_for import fill, names, template
-        from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 
         options = parse_options(SerialOptions, "the serial sensor", given)
         answers = {}

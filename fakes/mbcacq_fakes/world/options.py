@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbcacq.devices import DriverOptions
 from mbcacq.errors import ConfigError
+from mbcacq_fakes.world.arm import paper_errors
 from mbcacq_fakes.world.environment import Environment
 
 Vector = tuple[float, float, float]
@@ -113,8 +114,6 @@ def parse(options: Mapping[str, Any]) -> FakeOptions:
 
 def arm_errors(options: FakeOptions, n: int, seed: int) -> np.ndarray:
     """(n, 5) errors of the MD-H rows, rad and mm. Raises ConfigError if the table does not fit the arm."""
-    from mbcacq_fakes.world.arm import paper_errors
-
     if options.errors == "random":
         rng = np.random.default_rng([seed, 99])
         sigma = np.array([np.radians(0.03), 0.15, 0.15, np.radians(0.012), 0.0])

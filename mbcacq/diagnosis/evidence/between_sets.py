@@ -225,7 +225,7 @@ def orders_matched(other: Parameters, own: Parameters) -> Parameters:
 
     Sets list the orders of a gear as they found them: without this, one order would be averaged with another.
     """
-    from scipy.optimize import linear_sum_assignment
+    from scipy.optimize import linear_sum_assignment  # 90 modules, that a run never needs
 
     key = next((key for key in own if key.endswith(ORDERS)), None)
     if key is None or key not in other:

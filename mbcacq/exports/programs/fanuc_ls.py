@@ -11,6 +11,7 @@ from collections import defaultdict
 from typing import Any
 
 import numpy as np
+from lark.exceptions import LarkError, UnexpectedInput
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs.program import DEGREES, LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, kind, parser_of
@@ -24,8 +25,6 @@ _REMARK = re.compile(r"\s*(\d+\s*)?:\s*(!|//)")
 
 def read(text: str, n: int) -> RobotProgram:
     """The points of a program for an arm of n axes. Raises ConfigError with the line for positions that are not understood."""
-    from lark.exceptions import UnexpectedInput
-
     sections = {match[1]: match for match in _SECTION.finditer(text)}
     if "POS" not in sections:
         raise ConfigError("has no section /POS, in which an LS program holds its positions; save the program as ASCII (.ls)")
@@ -78,8 +77,6 @@ def _position(
 
 def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Uses]:
     """What the statements between two places do with each position."""
-    from lark.exceptions import LarkError
-
     out: dict[str, Uses] = defaultdict(Uses)
     everything = Uses()  # of positions whose number is in a register
     at = begin

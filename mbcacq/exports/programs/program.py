@@ -10,6 +10,8 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
+from lark import Lark
+from lark.exceptions import LarkError
 
 from mbcacq.quantities import DEGREE
 
@@ -23,8 +25,6 @@ NO_PLACE = re.compile(
 @cache
 def parser_of(grammar: str) -> Any:
     """The parser of one statement of a robot's language; grammar: the file beside this one that describes it."""
-    from lark import Lark
-
     return Lark.open(grammar, rel_to=__file__, parser="lalr", maybe_placeholders=False)
 
 
@@ -152,8 +152,6 @@ class Statements:
 
     def parsed(self, code: str, number: int, what: str = "line") -> list[Any]:
         """The pieces of a statement in a line; none where it is not understood: what it names is then no target."""
-        from lark.exceptions import LarkError
-
         try:
             return parser_of(self.grammar).parse(code).children
         except LarkError:

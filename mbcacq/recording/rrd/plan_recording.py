@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from mbcacq.files.atomic_write import replacing
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.recording.rrd import layout, scene
+from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
 from mbcacq.recording.rrd.drawable import drawable
+from mbcacq.recording.rrd.new_stream import filed
 
 FRAMES_A_MOTION = 16
 
@@ -27,11 +30,6 @@ def write_plan_recording(
 
 
 def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], partial: Path) -> None:
-    import rerun.blueprint as rrb
-
-    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, collapsed, place_camera, space
-    from mbcacq.recording.rrd.new_stream import filed
-
     cell = loaded.cell
     viewpoint = place_camera(cell.robot.chain, np.array([_planned_pose(s)[:3, 3] for s in cell.stations]))
     view = space("Plan: the arm on its path, the artefacts at their stations, in mm", [f"+ /{layout.WORLD}/**"], viewpoint)

@@ -16,6 +16,7 @@ from mbcacq.devices import Cycles, Scan
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, packed_cloud, packed_cycles
+from mbcacq.recording.rrd.assemble import assemble
 from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written, read_stretches
 from mbcacq.recording.rrd.library_reader import LibraryReader
 from mbcacq.recording.rrd.process_reader import ProcessReader
@@ -196,8 +197,6 @@ def read_observations(path: Path | str) -> Observations:
     time_s is the controller's clock of the first part; a later part, whose controller may have been restarted, is set after
     it by the computer's clock. Raises RecordingError if the recording is torn or holds no observation.
     """
-    from mbcacq.recording.rrd.assemble import assemble
-
     recordings = open_recordings(path)
     rows = [row for recording in recordings for row in recording.observed()]
     if not rows:

@@ -12,6 +12,7 @@ from mbcacq.model.json_text import unsealed
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import read_lines
 from mbcacq.recording.rrd.checksums import FILE, Stretch, digest_of_file, is_version, read_stretches, read_versions
+from mbcacq.recording.rrd.reader import opened
 from mbcacq.recording.rrd.run_header import FILE as HEADER_FILE
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.run_plan import FILES, PLAN
@@ -81,8 +82,6 @@ def _stretch_faults(path: Path, stretches: list[Stretch], size: int) -> Iterator
 
 def _value_faults(path: Path) -> Iterator[str]:
     """Faults of the values that a solver reads, by name."""
-    from mbcacq.recording.rrd.reader import opened
-
     try:
         recording = opened(path)
         for entity in (layout.PLAN, layout.CELL):

@@ -8,6 +8,7 @@ from typing import Any
 
 from mbcacq.errors import MbcacqError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.run_folder.journal import read_journal
 
 NAMED = 12  # pose numbers written out
@@ -44,8 +45,6 @@ def _values(entries: list[dict[str, Any]], event: str, key: str) -> set[int]:
 
 def _recorded(path: Path) -> tuple[set[int] | None, set[int]]:
     """Numbers of the poses that the recordings of a run folder, or a .rrd, hold intact (None if they cannot be read), and damaged."""
-    from mbcacq.recording.rrd.reader import open_recordings
-
     if not (path.suffix == ".rrd" or path.is_dir() and layout.parts(path)):
         return None, set()
     try:

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.reader import open_recordings, opened, opened_once
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.recording.run_folder.recovery import NothingRecovered, make_readable
 
 EMPTY = ".empty"  # added to the name of a recording in which nothing can be read
 
@@ -39,8 +41,6 @@ def poses_done(folder: Path | str) -> frozenset[int]:
 def repair_and_read_progress(folder: Path | str) -> Progress:
     """Make every recording of an interrupted run readable and return what they hold. Nothing is deleted: a torn recording stays next to
     its recovered copy, one without content gets another name. Raises RecordingError if the disk does not take the copy."""
-    from mbcacq.recording.rrd.reader import opened_once
-
     folder = Path(folder)
     with opened_once():
         repairs = tuple(_repair(folder))
@@ -54,8 +54,6 @@ def repair_and_read_progress(folder: Path | str) -> Progress:
 
 def _measured(folder: Path) -> dict[int, str]:
     """Number -> station."""
-    from mbcacq.recording.rrd.reader import open_recordings
-
     entries = read_journal(folder)
     listed = {entry["pose"] for entry in entries if entry.get("event") == "pose_done" and isinstance(entry.get("pose"), int)}
     try:
@@ -67,9 +65,6 @@ def _measured(folder: Path) -> dict[int, str]:
 
 
 def _repair(folder: Path) -> Iterator[str]:
-    from mbcacq.recording.rrd.reader import opened
-    from mbcacq.recording.run_folder.recovery import NothingRecovered, make_readable
-
     for path in layout.parts(folder):
         try:
             recording = opened(path)
@@ -88,8 +83,6 @@ def _repair(folder: Path) -> Iterator[str]:
 
 def _keep_identity(folder: Path) -> None:
     """All parts carry one recording id; where the note of it was lost, it is taken from the first part."""
-    from mbcacq.recording.rrd.reader import opened
-
     parts = layout.parts(folder)
     if parts and read_run_header(folder) is None:
         first = opened(parts[0])

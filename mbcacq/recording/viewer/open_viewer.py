@@ -12,13 +12,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import rerun as rr
+from rerun.experimental import ViewerClient
+
 from mbcacq.devices import kill
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError, SystemRefused
 from mbcacq.files.atomic_write import replacing, write_files
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, rerun_program
+from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
+from mbcacq.recording.rrd.library_reader import NOT_OURS
+from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.rrd.rerun_path import rerun_path
+from mbcacq.recording.rrd.scene import log_axes_key, log_texts
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.viewer.vulkan import WITHOUT_VULKAN, has_vulkan
 
@@ -47,9 +55,6 @@ def files(path: Path | str) -> list[Path]:
 
 def refuse_unreadable(path: Path) -> None:
     """Raises RecordingError for a file of which nothing can be read; a torn end is no hindrance, and the viewer shows those of others."""
-    from mbcacq.recording.rrd.library_reader import NOT_OURS
-    from mbcacq.recording.rrd.reader import Recording
-
     try:
         Recording(path)
     except RecordingError as error:
@@ -131,13 +136,6 @@ def _picture(client: Any, path: Path) -> bytes:
 def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str]:
     """The sources, and in front of them a small file in ``folder`` with today's blueprint, its camera and its magnifications. The viewer
     takes the blueprint of the first of several files of one recording. Sources that are no run of ours are left as they are."""
-    import rerun as rr
-
-    from mbcacq.recording.rrd.blueprint import for_cell
-    from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
-    from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.recording.rrd.scene import log_axes_key, log_texts
-
     try:
         first = Recording(sources[0])
         plan, cell_yaml = first.text(layout.PLAN), first.text(layout.CELL)
@@ -184,9 +182,6 @@ def _root_entity(blueprint: dict[str, Any]) -> str:
 
 def enlarged(sources: Sequence[Path | str]) -> Any:
     """What result and diagnosis among the sources hold to show (``blueprint.Enlarged``)."""
-    from mbcacq.recording.rrd.blueprint import Enlarged
-    from mbcacq.recording.rrd.reader import Recording
-
     found: dict[str, Any] = {}
     responses: tuple[str, ...] = ()
     for source in sources:
@@ -209,8 +204,6 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
 @contextmanager
 def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]:
     """A client of a viewer without a screen, which ends with the block. Errors of the viewer become a RecordingError."""
-    from rerun.experimental import ViewerClient
-
     port = rerun_program.free_port()
     window = ("--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}")
     child = rerun_program.started([*window, *QUIETLY], environment, subprocess.DEVNULL, subprocess.DEVNULL)
@@ -261,8 +254,6 @@ def _go_to(client: Any, tab: str, moment: tuple[int, float] | None) -> None:
 
 def _moment(sources: Sequence[Path | str], pose: int | None) -> tuple[int, float] | None:
     """Number of a pose and the run time (s) of its end. None: nothing was measured, as in a drawn plan or another program's recording."""
-    from mbcacq.recording.rrd.reader import Recording
-
     own = [source for source in sources if Path(source).name not in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)]
     try:
         rows = [row for source in own for row in Recording(source).observed()]

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.errors import MbcacqError
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.journal import read_log
 from mbcacq.report.content import Devices
@@ -21,8 +22,6 @@ TIMING = ("time_s", "host_time_s", "delay")  # of a cycle
 
 def devices_of(run: str | Path) -> Devices | None:
     """None where ``run`` is no folder with a recording, or the recording cannot be read: the report then does without."""
-    from mbcacq.recording.rrd.reader import open_recordings
-
     run = Path(run)
     try:
         recordings = open_recordings(run) if run.is_dir() and layout.parts(run) else []

@@ -16,11 +16,11 @@ from mbcacq.calibration.result_file import FORMAT
 from mbcacq.calibration.result_io import ONE_VIEW, axes_of, caveats, noise_of_a_view, of_flange_poses, state_from_dict
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, command_line
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, capitalised, fixed, in_degrees, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
-from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, PartContent, Spacing
+from mbcacq.report.content import AccuracyGrid, Action, Content, ParameterRow, PartContent, Spacing
 from mbcacq.report.sources import measured
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_diagnosis import diagnosis_content  # a run without a diagnosis does not wait for these imports
@@ -28,6 +28,7 @@ from mbcacq.report.sources.from_motion import kept_motion_content
 from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
+    MERGE,
     SUSPICIOUS,
     beyond_expected_sentence,
     expected_accuracy,
@@ -73,13 +74,16 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         found["motion"] = kept_motion_content(document, pictures)
     if (merged := run_info.get("merged")) is not None:
         found["part"] = _part(merged)
+    step = next_action(verdict, spacing, result, diagnosis, name, folder, str(run_info.get("plan_path") or ""))
+    if merged is None and observations is not None and any(artefact.is_part for artefact in observations.cell.artefacts):
+        step = Action(*MERGE, command_line("merge", name))
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
         verdict=verdict,
         instrument=_instrument(result),
         headlines=headlines(spacing, result, earlier),
-        next=next_action(verdict, spacing, result, diagnosis, name, folder, str(run_info.get("plan_path") or "")),
+        next=step,
         facts=_facts(result, run_info),
         fit=_fit(result),
         spacing=spacing,

@@ -10,10 +10,12 @@ from typing import Any
 
 from mbcacq.calibration.result_file import FORMAT as RESULT_FORMAT
 from mbcacq.diagnosis.findings import FORMAT as DIAGNOSIS_FORMAT
+from mbcacq.diagnosis.output.pictures import FORMAT as PICTURES_FORMAT
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.json_text import read_json, unsealed
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_log, recorded_facts
+from mbcacq.report.sources.devices import devices_of
 
 IDENTITY = re.compile(r"(robot|scanner|positioner|sensor \d+): (.+)")  # a device's description; later messages add to it
 MAX_LINES = 5
@@ -48,9 +50,6 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
     """``read_run_identity`` with devices, diagnosis and the result of the cell with its effects (where these were made) and hashes: all
     that a whole report needs besides the result.
     """
-    from mbcacq.diagnosis.output.pictures import FORMAT as PICTURES_FORMAT
-    from mbcacq.report.sources.devices import devices_of
-
     folder = Path(folder)
     info = read_run_identity(folder) | {"folder": str(folder), "hashes": hashes(folder)}
     info["identity"] = identities(folder) | {f"{name}, at the first pose": text for name, text in recorded_facts(folder).items()}

@@ -26,3 +26,11 @@ if (location.protocol === "file:") {
     }
   };
 }
+
+// What the theme lacks: every block of code is a landmark of one name (its button that copies), and what scrolls takes no focus.
+new MutationObserver(() => {
+  document.querySelectorAll("nav.md-code__nav:not([aria-label])").forEach((nav) => {
+    nav.ariaLabel = `Code ${[...document.querySelectorAll("nav.md-code__nav")].indexOf(nav) + 1}`;
+  });
+  document.querySelectorAll("pre > code, .md-typeset__scrollwrap").forEach((box) => { if (box.tabIndex < 0) box.tabIndex = 0; });
+}).observe(document.documentElement, { childList: true, subtree: true });
