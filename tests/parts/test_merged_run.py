@@ -284,8 +284,7 @@ def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):
     after = found.state.T_flange_scanner[:3, 3] - cell.state.T_flange_scanner[:3, 3]
     assert np.linalg.norm(after) < before / 10
     at = [found.names.index(f"hand_eye.{axis}") for axis in "xyz"]
-    local = cell.state.T_flange_scanner[:3, :3].T @ after
-    assert np.all(np.abs(local) < 4 * np.sqrt(np.diag(found.covariance)[at]))
+    assert np.all(np.abs(cell.state.T_flange_scanner[:3, :3].T @ after) < 4 * np.sqrt(np.diag(found.covariance)[at]))
 
 
 def test_scans_fit_once_the_part_alone_calibrated_hand_eye_and_arm(run):
