@@ -130,11 +130,11 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
     _refuse_unfitting([made[j][1] for misfit, j in scored if misfit < CLEARLY * best][:MOST_DOUBTED] or [obs], best, table)
     close = [made[j][0] for misfit, j in others if misfit < CLEARLY * max(best, NEVER_MM)]
     if close:
-        asked = "; or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
+        asked = ", or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
         raise ConfigError(
-            f"{table.path}: the data fit {reading.differs(close[0])} (residual {best:.3g} mm) no better than {asked}; say which it is: "
-            "--flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, and turn more "
-            "between the poses next time"
+            f"{table.path}: the flange turns too little, or about one axis alone, to show what the columns mean; turn it by 15° and more "
+            "about several, or say it to mbcacq data new by --flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted, "
+            f"--target-direct: {reading.differs(close[0])} (residual {best:.3g} mm), or {asked}"
         )
     if not options.by_instrument and (off := computed_by_the_arm(obs)) is not None:
         raise ConfigError(
