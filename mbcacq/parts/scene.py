@@ -159,10 +159,11 @@ def _connected(cells: SurfaceCells, count: int, least: int, options: PartOptions
 
 
 def _noise(cells: SurfaceCells, count: int, options: PartOptions) -> SmoothNoise:
-    """The smooth noise of one scan, from the largest overlaps: the distance of two scans has that of both."""
-    pairs = [cells.pair(i, j) for i in range(count) for j in range(i)]
-    pairs = sorted((pair for pair in pairs if len(pair) >= options.cells[0]), key=len)[-options.noise_pairs :]
-    found = smooth_noise(pairs, options)
+    """The smooth noise of one scan, from the largest overlap of each: the distance of two scans has that of both. The largest overlaps of
+    all are those of few scans, whose noise would be taken for that of all."""
+    with_most = np.argmax(cells.shared(count) * (1 - np.eye(count)), axis=1)
+    pairs = {(min(pair), max(pair)) for pair in enumerate(with_most.tolist())}
+    found = smooth_noise([cells.pair(i, j) for i, j in sorted(pairs)], options)
     return replace(found, sigma_mm=found.sigma_mm / np.sqrt(2))
 
 

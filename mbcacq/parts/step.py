@@ -160,8 +160,7 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     low, high = np.log([0.01 * sigma, 0.5 * shortest, 0.05]), np.log([30 * sigma, 0.5 * float(np.median(spans)), 2.0])
     starts = [np.log([sigma, length, 0.7]) for length in (2 * shortest, 0.2 * float(np.median(spans)))]
     limits, exact = list(zip(low, high, strict=True)), {"xatol": 0.02, "fatol": 0.1}
-    tried = [minimize(cost, start, method="Nelder-Mead", bounds=limits, options=exact) for start in starts]
-    found = min(tried, key=lambda one: one.fun)
+    found = minimize(cost, min(starts, key=cost), method="Nelder-Mead", bounds=limits, options=exact)
     return SmoothNoise(*np.exp(found.x).tolist())
 
 
