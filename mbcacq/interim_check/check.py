@@ -33,9 +33,9 @@ from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
 from mbcacq.version import __version__
-from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.acquire import new_run_folder
 from mbcacq.workflow.corrected_targets import refuse_uncalibrated
-from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.dry_run import device_overrides
 from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
 from mbcacq.workflow.part_scenes import scenes_as_observations
 from mbcacq.workflow.run import Operator
@@ -314,14 +314,8 @@ def _measure(
     if dry_run:  # the same cell on another day: what differs from run to run is drawn anew
         options = {"noise_seed": 1_000_003 * (len(past.days) + 1) + seed, **loaded.plan.fake}
         loaded = replace(loaded, plan=loaded.plan.model_copy(update={"fake": options}))
-    operator.progress("checking every motion between the poses")
-    acquisition = plan_acquisition(loaded, poses, frozenset(), 0, name_of(dry_run, seed))
+    acquisition = operator.allowed(loaded, poses, frozenset(), 0, dry_run, seed)
     acquisition.kind = RunKind.CHECK
-    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
-    operator.progress("")
-    if not dry_run:
-        operator.allow(acquisition)
-    operator.progress("starting the fake cell" if dry_run else "")
     with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
         folder = acquisition.folder = new_run_folder(out, f"check-{Path(past.plan).stem}")  # one cell, whatever a later plan is called
         with write_lock(folder, "check"):
