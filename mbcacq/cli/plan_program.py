@@ -23,7 +23,9 @@ MAKERS = {"kuka": "krl", "abb": "rapid", "fanuc": "karel", "ur": "urscript", "st
 @subcommand("program")
 def program(
     plan: Path = argument(PlanPath()),
-    dialect: str = option("Language of the controller, or its maker.", [*LANGUAGES, *MAKERS], "--for", required=True),
+    dialect: str = option(
+        f"{', '.join(LANGUAGES)}, or the maker: {', '.join(MAKERS)}.", [*LANGUAGES, *MAKERS], "--for", required=True, metavar="LANGUAGE"
+    ),
     out: Path = option("Folder to write to.", required=True),
     wait: Literal["output", "pause", "key"] = option("How to wait at a pose.", ["output", "pause", "key"], default="output"),
     output: int = option("Digital output that triggers the scanner.", click.IntRange(0, 4096), default=1),
