@@ -98,9 +98,27 @@ class Operator:
     def allowed(
         self, loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, dry_run: bool, seed: int
     ) -> Acquisition:
-        """The checked path to the poses that remain, once a real arm may move along it. seed: of the fake cell in a dry run.
+        """The checked path to the poses that remain, once a real arm may move along it.
 
-        Raises what ``plan_acquisition`` and ``allow`` raise.
+        Parameters
+        ----------
+        loaded
+            The plan.
+        poses
+            All poses of the run.
+        done
+            Numbers of the poses that were measured before.
+        part
+            Number of the part of the recording, from 0.
+        dry_run
+            Whether the cell is the fake one.
+        seed
+            Of the fake cell.
+
+        Returns
+        -------
+        Acquisition
+            Not begun yet.
         """
         self.progress("checking every motion between the poses")
         acquisition = plan_acquisition(loaded, poses, done, part, name_of(dry_run, seed))
