@@ -95,7 +95,7 @@ class EvidenceMap:
     def _products(
         self, basis: np.ndarray, of_poses: Callable[[tuple[UnitKey, ...]], np.ndarray], stations: Sequence[np.ndarray] = ()
     ) -> list[np.ndarray]:
-        """Of each group the products (columns, z) of its columns with a basis (rows, z).
+        """The products (columns, z) of each group's columns with a basis (rows, z).
 
         of_poses: its sums (P, c, z) over each pose with unit columns. stations: the poses of each, where the first columns of the basis,
         six of each station, vanish at the poses of all others.
