@@ -40,6 +40,6 @@ def kind_of(path: Path, kinds: Sequence[str], what: str, most: int) -> str:
         raise ConfigError(f"{path}: a {what} must be one of {', '.join(kinds)}; save it in one of these formats")
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such {what}; correct the path")
-    if (size := path.stat().st_size) > most:
-        raise ConfigError(f"{path}: {size / 2**30:.1f} GiB are too much for one {what}; reduce it")
+    if not 0 < (size := path.stat().st_size) <= most:
+        raise ConfigError(f"{path}: {f'{size / 2**30:.1f} GiB are too much for one {what}' if size else 'is empty'}; save it anew")
     return kind
