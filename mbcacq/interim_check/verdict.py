@@ -218,11 +218,11 @@ def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level) ->
 
 def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray) -> tuple[float, Estimate]:
     """log of weight times Bayes factor of one change, and its estimate."""
-    b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
+    weighted = change.columns.T @ weight
+    b, S = weighted @ mean, weighted @ change.columns
     each = [_log_factor(S, b, size) for size in OPTIONS.sizes]
-    log = logsumexp(each) - np.log(len(each)) + np.log(change.weight)
-    estimate = _estimate(change, S, b, OPTIONS.sizes[int(np.argmax(each))])
-    return (-np.inf if change.where == SCANNER else float(log)), estimate
+    log = np.logaddexp.reduce(each) - np.log(len(each)) + np.log(change.weight)
+    return (-np.inf if change.where == SCANNER else float(log)), _estimate(change, S, b, OPTIONS.sizes[int(np.argmax(each))])
 
 
 def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:

@@ -14,8 +14,7 @@ _RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
 
 def frame(values: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
-    turns = rotation_about(np.eye(3)[::-1], np.radians(values[3:]))
-    return rigid(turns[0] @ turns[1] @ turns[2], np.array(values[:3], dtype=float))
+    return rigid(np.linalg.multi_dot(rotation_about(np.eye(3)[::-1], np.radians(values[3:]))), np.array(values[:3], dtype=float))
 
 
 def angles(T: np.ndarray) -> tuple[float, ...]:
