@@ -105,7 +105,8 @@ def _best(observations: Observations, among: Iterable[Misreading], most: float) 
         return None
     near.sort(key=lambda pair: LIKELIER.index(pair[1].kind))
     score, best = near[0]
-    return DescriptionFinding(best, before, score, tuple(h.what for _, h in near[1:]))
+    others = sorted((h for _, h in near[1:]), key=lambda h: h.kind == best.kind)  # mistakes of another kind are named first
+    return DescriptionFinding(best, before, score, tuple(h.what for h in others))
 
 
 def _score(observations: Observations, few: Observations, hypothesis: Misreading, screening: bool) -> float:

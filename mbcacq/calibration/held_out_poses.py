@@ -40,22 +40,15 @@ def held_out_masks(obs: Observations, split: str, size: int | None, fits: int | 
         if len(stations) < 2:
             raise CalibrationError("there is one station only; none can be left out. Use --held-out random or block")
         return [obs.station == s for s in stations]
-    masks = []
     if split == "random":
         size = size or min(300, max(1, int(round(0.3 * obs.n_poses))))
         if size >= obs.n_poses:
             raise ConfigError(f"{size} poses cannot be held out of {obs.n_poses}; give a smaller number")
-        for _ in range(fits or 3):
-            mask = np.zeros(obs.n_poses, bool)
-            mask[rng.choice(obs.n_poses, size, replace=False)] = True
-            masks.append(mask)
+        parts = [rng.choice(obs.n_poses, size, replace=False) for _ in range(fits or 3)]
     else:
         order = np.argsort(obs.time_s if obs.time_s is not None else obs.pose_id, kind="stable")
-        for part in np.array_split(order, fits or 5):
-            mask = np.zeros(obs.n_poses, bool)
-            mask[part] = True
-            masks.append(mask)
-    known = [_known_places(obs, m) for m in masks]
+        parts = np.array_split(order, fits or 5)
+    known = [_known_places(obs, np.isin(np.arange(obs.n_poses), part)) for part in parts]
     if not any(m.any() for m in known):
         raise CalibrationError("every pose left out shows a ball that the others do not locate; use --held-out station or random")
     return [m for m in known if m.any()]

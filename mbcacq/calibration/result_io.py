@@ -28,7 +28,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import SIMULATED, Cell, counted_axes, link_parameters
 from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import damage, damaged, read_json, sealed_text, unsealed
-from mbcacq.quantities import K, pair, symbol, uncertainty
+from mbcacq.quantities import K, fixed, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
 
@@ -206,8 +206,18 @@ def note_trials(source: Path, trials: Mapping[str, str]) -> None:
 
 
 def with_warnings(result: Mapping[str, Any]) -> list[str]:
-    """The caveats, and what the calibration warned of: for a reader of the result who did not see how it was made."""
-    return [*caveats(result), *(str(warning) for warning in result.get("warnings") or ())]
+    """The caveats, a limit that is exceeded, and what the calibration warned of: for a reader of the result who did not see how it was
+    made."""
+    return [*caveats(result), *filter(None, [beyond_limit(result)]), *(str(warning) for warning in result.get("warnings") or ())]
+
+
+def beyond_limit(result: Mapping[str, Any]) -> str:
+    """A sentence where a sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it, or ''."""
+    verified = result.get("verification") or {}
+    if verified.get("verdict") != "fail":
+        return ""
+    largest, limit = fixed(verified["after"]["max_mm"]), verified["limit_mm"]
+    return f"the largest sphere spacing error is {largest} mm, beyond the plan's limit of {limit:g} mm"
 
 
 LEAST_SHARE = 1e-9  # share of a direction's prior variance that the data take away, below which rounding decides

@@ -112,6 +112,9 @@ class Transfer(AsJson):
     outside: TransferFigures | None = None
     inside_centres: int = 0
 
+    def __str__(self) -> str:
+        return self.text
+
     @property
     def text(self) -> str:
         """The figures in plain sentences."""

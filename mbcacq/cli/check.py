@@ -65,8 +65,10 @@ def lines_of(done: mbcacq.InterimCheck) -> list[str]:
     out = [f"{capitalised(done.sentence)}."]
     since, before, alarm = (words.odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
-    levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
-    out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
+    off = sum(one.end - one.first for one in v.put_right)
+    count = f"checks: {days}{f', {off} of them while the cell was off' if off else ''}, of {len(done.history.poses)} poses each"
+    drift = f"changes from day to day are {v.day:g} times the usual" if v.day else "no changes from day to day"
+    out.append(f"{count}; the noise is {v.noise:g} times that of the calibration, {drift}")
     out += [f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := words.size_of(s)) else "") for s in v.suspects]
     if not done.changed and days > 1:
         out.append("noticed within a week, nine times of ten:")

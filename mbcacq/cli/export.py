@@ -85,7 +85,7 @@ def next_step(
     if results is not None:
         arm = results / "arm.mjcf.xml"
         if folder_of(run) is None and arm.exists():
-            what = "describe plans by the calibrated arm (30 °/s is slow: put in the speed of its data sheet)"
+            what = "plan with the calibrated arm; in place of 30 °/s, which is slow, put the speed of its data sheet"
             return what, command_line("robot", "import", arm, "--speed", 30, "--out", "calibrated-arm.yaml")
         return judge_first(run)
     if trajectory is not None:

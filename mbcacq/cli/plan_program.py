@@ -17,12 +17,15 @@ from mbcacq.recording.run_folder import progress
 from mbcacq.workflow import controller_files, robot_program
 
 LANGUAGES = ("krl", "rapid", "karel", "urscript", "vplus", "inform", "csv")
+MAKERS = {"kuka": "krl", "abb": "rapid", "fanuc": "karel", "ur": "urscript", "staubli": "vplus", "yaskawa": "inform"}
 
 
 @subcommand("program")
 def program(
     plan: Path = argument(PlanPath()),
-    dialect: str = option("Language of the controller.", list(LANGUAGES), "--for", required=True),
+    dialect: str = option(
+        f"{', '.join(LANGUAGES)}, or the maker: {', '.join(MAKERS)}.", [*LANGUAGES, *MAKERS], "--for", required=True, metavar="LANGUAGE"
+    ),
     out: Path = option("Folder to write to.", required=True),
     wait: Literal["output", "pause", "key"] = option("How to wait at a pose.", ["output", "pause", "key"], default="output"),
     output: int = option("Digital output that triggers the scanner.", click.IntRange(0, 4096), default=1),
@@ -44,6 +47,7 @@ def program(
         loaded = plans.load(plan)
         trigger = Trigger(wait, output, exposure_s=loaded.plan.scanner.scan_time_s + 1.0 if exposure is None else exposure)
         done = frozenset[int]() if resume is None else progress.poses_done(resume)
+        dialect = MAKERS.get(dialect, dialect)
         files = robot_program.robot_program(loaded, dialect, trigger=trigger, done=done)
         written = controller_files.write(files, out, replace)
     clouds, rest = ("clouds", ()) if resume is None else ("more-clouds", ("--resume", resume))
@@ -51,7 +55,7 @@ def program(
         {"format": "mbcacq-robot-program/1", "language": dialect, "files": [str(path) for path in written]},
         [*map(str, written), "nobody has run this program: first in the slow manual mode (T1, TEACH), a hand on the enabling switch"],
         (
-            f"read {out / 'README.txt'}, save the clouds of the scanner in a folder '{clouds}'",
+            f"read {out / 'README.txt'}, save the scanner's clouds in a folder '{clouds}', and give the log of joint angles (--joints LOG)",
             command_line("collect", plan, "--clouds", clouds, *rest),
         ),
     )

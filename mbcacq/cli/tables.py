@@ -151,7 +151,7 @@ def fit(result: dict[str, Any]) -> list[str]:
     fitted, noise = result["fit"], result["noise"]
     chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
-    out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
+    out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, {fitted['rank']} parameters determined"]
     if (expected := expected_accuracy(result)) is not None:
         value, misfit = expected
         known = identifies_arm(result) or link_errors(result)

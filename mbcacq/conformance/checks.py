@@ -52,13 +52,13 @@ def refuses_the_wrong_device(bench: DriverBench, stand: Stand) -> None:
 def names_an_absent_device(bench: DriverBench, stand: Stand) -> None:
     need_proxies(stand)
     for proxy in stand.proxies.values():
-        proxy.refusing = True
+        proxy.refuse(True)
     driver = stand.make(**stand.short_limits)
     error = outcome("connect", driver.connect, bench.limit_s)
     demand(isinstance(error, ConnectError), f"connecting to nothing gives {error!r} instead of a ConnectError")
     bounded("close", driver.close, bench.limit_s)
     for proxy in stand.proxies.values():
-        proxy.refusing = False
+        proxy.refuse(False)
     works_anew(bench, stand)
 
 

@@ -22,7 +22,7 @@ class Proxy:
 
     def __init__(self, channel: Channel) -> None:
         self.channel, self.connections = channel, 0
-        self._refusing = False
+        self.refusing = False  # whether nobody seems to be there for whoever connects from now on
         self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -31,14 +31,9 @@ class Proxy:
         """Whether a driver may connect."""
         return True
 
-    @property
-    def refusing(self) -> bool:
-        """Whether nobody seems to be there for whoever connects from now on."""
-        return self._refusing
-
-    @refusing.setter
-    def refusing(self, value: bool) -> None:
-        self._refusing = value
+    def refuse(self, refusing: bool) -> None:
+        """Seem not to be there for whoever connects from now on, or be there again."""
+        self.refusing = refusing
 
     def cut(self) -> None:
         """End the connections that stand."""

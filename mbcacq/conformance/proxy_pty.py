@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 from contextlib import suppress
+from functools import partial
 
 from mbcacq.conformance.faults import DEVICE, DRIVER, Channel, Cut, as_read
 from mbcacq.conformance.proxy import POLL_S, Proxy, send_all, shut
@@ -40,13 +41,8 @@ class PtyProxy(Proxy):
     def ready(self) -> bool:
         return self._plugged.is_set()
 
-    @property
-    def refusing(self) -> bool:
-        return self._refusing
-
-    @refusing.setter
-    def refusing(self, value: bool) -> None:
-        self._refusing = value
+    def refuse(self, refusing: bool) -> None:
+        super().refuse(refusing)
         self._name()
 
     def cut(self) -> None:
@@ -70,7 +66,7 @@ class PtyProxy(Proxy):
         self._plugged.set()
 
     def _name(self) -> None:
-        if self._fds and not self._refusing:
+        if self._fds and not self.refusing:
             os.symlink(os.ttyname(self._fds[1]), f"{self.path}.new")
             os.replace(f"{self.path}.new", self.path)  # the name never leads nowhere while the cable is in
         else:
@@ -117,13 +113,7 @@ class PtyProxy(Proxy):
             except TimeoutError:
                 return b""
 
-        def to_device(data: bytes) -> None:
-            send_all(far, data)
-
-        def to_driver(data: bytes) -> None:
-            os.write(master, data)
-
-        receive, send = (from_driver, to_device) if sender == DRIVER else (from_device, to_driver)
+        receive, send = (from_driver, partial(send_all, far)) if sender == DRIVER else (from_device, partial(os.write, master))
         with suppress(OSError):
             self._relay(sender, receive, send, self._cut[sender])
         self._plugged.clear()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import socket
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -56,3 +57,13 @@ def is_loopback(text: str) -> bool | None:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return None
+
+
+def is_own_address(address: str) -> bool:
+    """Whether an address is one of this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+        return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
@@ -30,3 +31,15 @@ def bytes_of(path: Path, most: int, cure: str, smaller: str = "split it") -> byt
     if len(data) > most:
         raise ConfigError(f"{path}: larger than {most / 2**20:.4g} MiB; {smaller}")
     return data
+
+
+def kind_of(path: Path, kinds: Sequence[str], what: str, most: int) -> str:
+    """The suffix of a file that is there, is of one of these kinds, and has at most so many bytes. Raises ConfigError."""
+    kind = path.suffix.lower()
+    if kind not in kinds:
+        raise ConfigError(f"{path}: a {what} must be one of {', '.join(kinds)}; save it in one of these formats")
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such {what}; correct the path")
+    if not 0 < (size := path.stat().st_size) <= most:
+        raise ConfigError(f"{path}: {f'{size / 2**30:.1f} GiB are too much for one {what}' if size else 'is empty'}; save it anew")
+    return kind

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import kind_of
 from mbcacq.files.open3d_library import open3d
 from mbcacq.files.ply_header import read_header
 
@@ -28,12 +29,7 @@ class Mesh:
 def read_mesh(path: str | Path) -> Mesh:
     """The surface in a file. Raises ConfigError naming the file where it is absent, cut off, or holds no triangles."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"{path}: a mesh must be one of {', '.join(SUFFIXES)}; export it so")
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such mesh; correct the path")
-    if path.stat().st_size > MAX_BYTES:
-        raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one mesh; reduce it")
+    kind_of(path, SUFFIXES, "mesh", MAX_BYTES)
     announced = _announced_faces(path)
     found = open3d().io.read_triangle_mesh(str(path))
     vertices, triangles = np.asarray(found.vertices), np.asarray(found.triangles)

@@ -33,12 +33,12 @@ from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
 from mbcacq.version import __version__
-from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.acquire import new_run_folder
 from mbcacq.workflow.corrected_targets import refuse_uncalibrated
-from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.dry_run import device_overrides
 from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
 from mbcacq.workflow.part_scenes import scenes_as_observations
-from mbcacq.workflow.run import Operator
+from mbcacq.workflow.run import Operator, allowed_acquisition
 
 HISTORY = "check.json"
 SAME_ANGLE = 1e-9  # rad: the plan still means the same joint angles
@@ -140,7 +140,8 @@ class InterimCheck:
         kept = () if self.file == _history_file(result, None) else ("--history", self.file)
         if self.changed:
             return "put right what changed, or calibrate anew", command_line("run", name, how)
-        return "check again tomorrow, or after any work on the cell", command_line("check", result, name, how, *kept)
+        when = "repeat the check now" if self.verdict.near else "check again tomorrow, or after any work on the cell"
+        return when, command_line("check", result, name, how, *kept)
 
     def refuse_changed(self) -> None:
         """Raise an error if the cell changed.
@@ -151,7 +152,7 @@ class InterimCheck:
             The cell is not as it was.
         """
         if self.changed:
-            raise CellChanged(f"{self.sentence}; put right what changed, or calibrate anew")
+            raise CellChanged(f"the cell changed, as {self.page} shows; put right what changed, or calibrate anew")
 
 
 def check(
@@ -222,7 +223,7 @@ def check(
         judged, counted = with_points(loaded, chosen) if on_part else (loaded, chosen)
         planned = planned_check(judged, counted, cell, past.standing, past.usual_days)
         if measured is None:
-            run = _measure(loaded, chosen, operator, settings.folder, (seed, len(past.days)) if dry_run else None)
+            run = _measure(loaded, chosen, operator, settings.folder, past, seed if dry_run else None)
         else:
             run = Path(measured)
         operator.progress("judging")
@@ -305,22 +306,18 @@ def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory,
     return chosen
 
 
-def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, out: Path | None, fake: tuple[int, int] | None) -> Path:
-    """Measure the poses as a run does; its folder. fake: seed of the fake cell, and how many checks it had; None: the plan's devices."""
-    dry_run, seed = fake is not None, 0 if fake is None else fake[0]
-    if fake is not None:  # the same cell on another day: what differs from run to run is drawn anew
-        options = {"noise_seed": 1_000_003 * (fake[1] + 1) + seed, **loaded.plan.fake}
+def _measure(
+    loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, out: Path | None, past: CheckHistory, fake_seed: int | None
+) -> Path:
+    """Measure the poses as a run does; its folder. fake_seed: of the fake cell; None: the plan's devices."""
+    dry_run, seed = fake_seed is not None, fake_seed or 0
+    if dry_run:  # the same cell on another day: what differs from run to run is drawn anew
+        options = {"noise_seed": 1_000_003 * (len(past.days) + 1) + seed, **loaded.plan.fake}
         loaded = replace(loaded, plan=loaded.plan.model_copy(update={"fake": options}))
-    operator.progress("checking every motion between the poses")
-    acquisition = plan_acquisition(loaded, poses, frozenset(), 0, name_of(dry_run, seed))
+    acquisition = allowed_acquisition(operator, loaded, poses, frozenset(), 0, dry_run, seed)
     acquisition.kind = RunKind.CHECK
-    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
-    operator.progress("")
-    if not dry_run:
-        operator.allow(acquisition)
-    operator.progress("starting the fake cell" if dry_run else "")
     with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
-        folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
+        folder = acquisition.folder = new_run_folder(out, f"check-{Path(past.plan).stem}")  # one cell, whatever a later plan is called
         with write_lock(folder, "check"):
             operator.began(folder)
             acquisition.execute(overrides, operator.subscribers, message=operator.message, pause=operator.pause)

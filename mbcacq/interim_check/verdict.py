@@ -102,6 +102,11 @@ class CheckVerdict:
     def changed(self) -> bool:
         return self.verdict == CHANGED
 
+    @property
+    def near(self) -> bool:
+        """Nothing changed by the verdict, at odds that would be enough to give a change a name."""
+        return not self.changed and max(self.log_e, self.log_e_calibration) > np.log(OPTIONS.class_odds)
+
 
 @dataclass(frozen=True)
 class Evidence:

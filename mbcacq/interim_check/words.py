@@ -40,7 +40,8 @@ def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
     """One sentence: as before, or what changed, where, since when, by how much."""
     n, undone = len(history.days) - sum(one.end - one.first for one in verdict.put_right), _undone_in_words(verdict, history)
     if not verdict.changed:
-        return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} of {len(history.poses)} poses{undone}"
+        near = f", but the evidence is close to the alarm at {odds(verdict.log_threshold)}: repeat the check now" if verdict.near else ""
+        return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} of {len(history.poses)} poses{near}{undone}"
     first, names = verdict.suspects[0], [s.label for s in verdict.suspects if s.name != UNNAMED]
     shown = " or ".join(names[:MOST]) + (f" or {len(names) - MOST} others like them" if len(names) > MOST else "")
     if first.name == UNNAMED:

@@ -31,7 +31,7 @@ BOUNDS = {
     "radius": Bound("mm", 0, 1e4, "10 m: the upper arm of the largest robots is below 1 m thick", above=True),
     "gap": Bound("mm", 0, 1e4, "10 m: clearances and stands are smaller"),
     "error": Bound("mm", 0, 1e3, "1 m: a tolerance beyond it asks for nothing", above=True),
-    "uncertainty": Bound("mm", 0, 1e3, "1 m: what is known worse is not known; zero says that nothing is stated"),
+    "uncertainty": Bound("mm", 0, 1e3, "1 m: anything larger is not known at all; zero: nothing is stated"),
     "repeatability": Bound("mm", 0, 10, "10 mm: arms are stated with 0.005 to 1 mm", above=True),
     "noise": Bound("mm", 0, 10, "10 mm: what is worse tells no ball of an artefact from the next"),
     "resolution": Bound("mm", 0.03, 100, "a voxel filter of less takes hours, one of more shows no ball", above=True),

@@ -103,7 +103,7 @@ class JointSpec(Strict):
 
 
 def ratio_unit(joint: JointSpec, leader: JointSpec) -> float:
-    """What turns a ratio of the units of files (deg, mm) into one of those inside."""
+    """Factor from a ratio in the units of files (deg, mm) to the same ratio in rad and mm."""
     unit = {False: float(from_degrees(1.0)), True: 1.0}
     return 1.0 if joint.slides == leader.slides else unit[joint.slides] / unit[leader.slides]
 

@@ -75,6 +75,8 @@ class Observations:
         The images from which the observations were made.
     extra
         Columns that this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
+    understood
+        How a table without a description was read, a sentence for each choice.
     cell_yaml
         The text from which the cell was read, with its comments; '' if it was not read from a file.
     """
@@ -108,6 +110,7 @@ class Observations:
     payload_com: np.ndarray | None = None
     images: BoardImages | None = None
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    understood: tuple[str, ...] = ()
     cell_yaml: str = ""
 
     @property

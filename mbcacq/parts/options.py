@@ -21,7 +21,6 @@ class PartOptions:
     steps: linearisations, at most.
     coarse: sizes of the cells, in those at last, by which scans that are millimetres apart are brought together.
     scene_cells: of a scene, at most; their heights are unknowns of one dense system.
-    noise_pairs: overlaps from which the smooth noise of a scene is estimated.
     block_points: merged at a time; each takes about 200 bytes.
     cad_reach_mm: points farther from the CAD model are no points of the part.
     fit_capture_mm: by so much the part may stand off its planned place for the best fit to find it.
@@ -44,7 +43,6 @@ class PartOptions:
     steps: int = 4
     coarse: tuple[float, ...] = (4.0, 2.0)
     scene_cells: int = 1500
-    noise_pairs: int = 15
     block_points: int = 1_000_000
     cad_reach_mm: float = 5.0
     fit_capture_mm: float = 30.0

@@ -104,9 +104,7 @@ class RigidStep:
     @property
     def undetermined(self) -> list[str]:
         """The motions that the overlap does not determine, in words."""
-        if self.determined.shape[1] == 6:
-            return []
-        return [_in_words(v / self.scaled, self.centre) for v in np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :].T]
+        return in_words(np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :], self.scaled, self.centre)
 
 
 def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
@@ -127,17 +125,28 @@ def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Rigi
 
 
 def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
-    centre = cells.point.mean(axis=0)
-    radius = float(np.sqrt(np.mean(np.sum((cells.point - centre) ** 2, axis=1))))
-    scale = np.repeat([1.0, radius], 3)
-    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(cells.point - centre)) / scale
-    values, vectors = np.linalg.eigh(J.T @ J / len(J))
-    determined = vectors[:, values > options.slope**2]
+    centre, scale, J, determined, _ = motions(cells.point, cells.normal, options)
     whitened = np.linalg.cholesky(noise.covariance(cells))
     A, r = (np.linalg.solve(whitened, side) for side in (J @ determined, cells.distance))
     covariance, D = np.linalg.inv(A.T @ A), determined / scale[:, None]
     twist, covariance = D @ covariance @ (A.T @ r), D @ covariance @ D.T
-    return RigidStep(twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=radius, cells=cells, left_out=0)
+    return RigidStep(
+        twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=float(scale[3]), cells=cells, left_out=0
+    )
+
+
+def motions(points: np.ndarray, normals: np.ndarray, options: PartOptions) -> tuple[np.ndarray, ...]:
+    """The rigid motions of a surface about its middle: which of them show themselves in distances along its normals.
+
+    Returns the middle (3,) mm, factors (6,) that turn a twist into mm, the columns (c, 6) of the distances by twists in mm, and
+    orthonormal directions (6, r) and (6, 6 - r) of these that are determined and that are not.
+    """
+    centre = points.mean(axis=0)
+    arms = points - centre
+    scale = np.repeat([1.0, float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))], 3)
+    J = np.einsum("kc,kci->ki", normals, rigid_columns(arms)) / scale
+    values, vectors = np.linalg.eigh(J.T @ J / len(J))
+    return centre, scale, J, vectors[:, values > options.slope**2], vectors[:, values <= options.slope**2]
 
 
 def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoise:
@@ -160,8 +169,7 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     low, high = np.log([0.01 * sigma, 0.5 * shortest, 0.05]), np.log([30 * sigma, 0.5 * float(np.median(spans)), 2.0])
     starts = [np.log([sigma, length, 0.7]) for length in (2 * shortest, 0.2 * float(np.median(spans)))]
     limits, exact = list(zip(low, high, strict=True)), {"xatol": 0.02, "fatol": 0.1}
-    tried = [minimize(cost, start, method="Nelder-Mead", bounds=limits, options=exact) for start in starts]
-    found = min(tried, key=lambda one: one.fun)
+    found = minimize(cost, min(starts, key=cost), method="Nelder-Mead", bounds=limits, options=exact)
     return SmoothNoise(*np.exp(found.x).tolist())
 
 
@@ -182,11 +190,17 @@ def _restricted_cost(cells: Overlap, noise: SmoothNoise) -> float:
     return float(2 * np.log(np.diag(L)).sum() + 2 * np.log(s).sum() + r @ r)
 
 
-def _in_words(twist: np.ndarray, centre: np.ndarray) -> str:
+def in_words(directions: np.ndarray, scale: np.ndarray, centre: np.ndarray) -> list[str]:
+    """Motions of a surface in words, turns before shifts: orthonormal directions (6, r), each to be divided by factors (6,)."""
+    turning = np.linalg.svd(directions[3:])[2]
+    return [_one_in_words(v / scale, centre) for v in turning @ directions.T]
+
+
+def _one_in_words(twist: np.ndarray, centre: np.ndarray) -> str:
     """A motion that leaves a surface on itself: a shift along a direction, or a turn about an axis through a point, base frame."""
     shift, turn = twist[:3], twist[3:]
     angle = float(np.linalg.norm(turn))
     if angle * 1e3 < float(np.linalg.norm(shift)):  # the axis is more than 1 m away: nearly a shift
-        return "along ({:.2f}, {:.2f}, {:.2f})".format(*shift / np.linalg.norm(shift))
+        return "along ({:z.2f}, {:z.2f}, {:z.2f})".format(*shift / np.linalg.norm(shift))
     at = centre + np.cross(turn, shift) / angle**2
-    return "about ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*turn / angle, *at)
+    return "about ({:z.2f}, {:z.2f}, {:z.2f}) through ({:z.0f}, {:z.0f}, {:z.0f}) mm".format(*turn / angle, *at)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,8 @@ def _load_observations(path: Path) -> Observations:
         from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
         from mbcacq.recording.datasets.loose_table import TableOptions
 
-        return read_hand_eye_files([path], TableOptions()).observations
+        found = read_hand_eye_files([path], TableOptions())
+        return replace(found.observations, understood=found.sentences)
     if _is_recording(path):
         from mbcacq.recording.rrd.reader import read_observations
 

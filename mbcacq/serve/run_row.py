@@ -1,4 +1,4 @@
-"""A run as a list and a page have it."""
+"""What the list of runs and the page of a run show of one run."""
 
 from __future__ import annotations
 

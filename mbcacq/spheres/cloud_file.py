@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import kind_of
 from mbcacq.files.open3d_library import open3d
 from mbcacq.files.ply_header import PlyElement, read_header
 from mbcacq.files.stated_unit import stated_unit
@@ -55,13 +56,7 @@ class CloudFile:
 def read_cloud_file(path: str | Path) -> CloudFile:
     """The cloud of a PLY or PCD file. Raises ConfigError, naming the file, where it is not whole or holds no points."""
     path = Path(path)
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such cloud; give the PLY or PCD file of a scan")
-    kind = path.suffix.lower()
-    if kind not in (".ply", ".pcd"):
-        raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
-    if path.stat().st_size > MAX_BYTES:
-        raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
+    kind = kind_of(path, (".ply", ".pcd"), "cloud", MAX_BYTES)
     columns, header = _ply(path) if kind == ".ply" else _pcd(path)
     if any(columns[axis].dtype.kind not in "fiu" for axis in "xyz"):
         raise ConfigError(f"{path}: its x, y, z are no numbers; export the cloud anew")

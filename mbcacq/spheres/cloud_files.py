@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import kind_of
 from mbcacq.files.mesh_file import read_mesh
 from mbcacq.files.stated_unit import stated_unit, unit_of_axes
 from mbcacq.spheres.cloud_file import mm_per, read_cloud_file
@@ -65,16 +66,7 @@ def read_points(path: str | Path, form: CloudFormat | None = None) -> np.ndarray
     what its name says, or without points."""
     path, form = Path(path), form or CloudFormat()
     form.matrix()
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ConfigError(f"{path}: is no cloud that can be read ({', '.join(SUFFIXES)}); save it in one of these formats")
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the file of a cloud") from error
-    if not 0 < size <= MAX_BYTES:
-        raise ConfigError(f"{path}: {'is empty' if size == 0 else f'{size / 2**30:.1f} GiB are too much for one cloud'}; save it anew")
-    points, stated = _read(path, suffix, form)
+    points, stated = _read(path, kind_of(path, SUFFIXES, "cloud", MAX_BYTES), form)
     to_mm = form.matrix(stated)
     if not (finite := np.isfinite(points)).all():
         points = points[finite.all(axis=1)]

@@ -296,7 +296,7 @@ def calibration_content(
     cell = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
     content = cell.to_dict()
     content["verification"] = cell.verify(observations, limit_mm=limit_of(Path(data))).to_dict()
-    content["gaps"] = find_gaps(Path(data))
+    content["gaps"] = [*find_gaps(Path(data)), *observations.understood]
     content |= counted_joints(Path(data), observations.cell.robot.n)
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE

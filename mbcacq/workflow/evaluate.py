@@ -9,6 +9,7 @@ from typing import Any
 
 from mbcacq.calibration.calibrate import calibrate
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.result_io import beyond_limit
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.calibration.verification import Verification
 from mbcacq.calibration.workspace_accuracy import accuracy_map
@@ -17,7 +18,6 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import fixed
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.recovery import WHOLE
@@ -70,11 +70,8 @@ class RunResult:
         CalibrationError
             A sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it.
         """
-        if (self.content.get("verification") or {}).get("verdict") == "fail":
-            raise CalibrationError(
-                f"the largest sphere spacing error is {fixed(self.worst_mm)} mm, beyond the plan's limit of {self.limit_mm:g} mm; "
-                f"see {self.content['files']['report']}"
-            )
+        if sentence := beyond_limit(self.content):
+            raise CalibrationError(f"{sentence}; see {self.content['files']['report']}")
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json with the names of the files.

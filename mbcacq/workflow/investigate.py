@@ -15,7 +15,6 @@ import numpy as np
 from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
 from mbcacq.design.adaptive.investigation import decisions as decisions_of
-from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model import yaml12
@@ -28,14 +27,14 @@ from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.workflow import resume as resuming
-from mbcacq.workflow.acquire import named_run_folder, new_run_folder, plan_acquisition
+from mbcacq.workflow.acquire import named_run_folder, new_run_folder
 from mbcacq.workflow.address_space import refuse_small_address_space
 from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
-from mbcacq.workflow.run import Operator
+from mbcacq.workflow.run import Operator, allowed_acquisition
 
 if TYPE_CHECKING:
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
@@ -119,25 +118,19 @@ class CellInvestigation:
 
     def _measure(self, grown: LoadedPlan, begin: Callable[[], None] = lambda: None) -> Observations:
         """Everything that is measured, after the poses that the plan has grown by. begin: called before the first, once nothing refuses."""
-        operator, cell = self.operator, name_of(self.dry_run, self.seed)
+        operator = self.operator
         poses = expand(grown)
         refuse_errors(grown, poses)
 
         fresh = not layout.parts(self.folder)
-        before = resuming.progress_before(None if fresh else self.folder, grown, cell, operator.message)
+        before = resuming.progress_before(None if fresh else self.folder, grown, name_of(self.dry_run, self.seed), operator.message)
         settled = frozenset(range(self._settled))
         # A fake cell measures the whole of an interrupted visit once more: it does again what it would have done.
         done = settled if self.dry_run else before.done | settled
         if any(p.number not in done for p in poses):
-            operator.progress("checking every motion between the poses")
-            acquisition = plan_acquisition(grown, poses, done, before.part, cell)
-            acquisition.simulated = self.dry_run or on_loopback_only(grown.plan.robot.options)
-            operator.progress("")
-            if not self.dry_run:
-                operator.allow(acquisition)
+            acquisition = allowed_acquisition(operator, grown, poses, done, before.part, self.dry_run, self.seed)
             acquisition.folder, acquisition.kind = self.folder, RunKind.INVESTIGATION
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
-            operator.progress("starting the fake cell" if self.dry_run else "")
             known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None
             with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes, known) as overrides:
                 if not self._begun:

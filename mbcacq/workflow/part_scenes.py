@@ -21,8 +21,10 @@ from mbcacq.parts.scans import PartScan, Scans, ScanSurface, spacing, surface_of
 from mbcacq.parts.scene import register
 from mbcacq.quantities import micrometres
 from mbcacq.recording.rrd.reader import open_recordings
-from mbcacq.spheres.cloud_file import SMALLEST_MM
+from mbcacq.spheres.cloud_file import SMALL, SMALLEST_MM
 from mbcacq.spheres.cloud_files import SUFFIXES, read_points
+
+LARGEST_INCHES = 12.0  # of what a scanner sees at once
 
 
 def scenes_as_observations(source: Path, obs: Observations) -> Observations:
@@ -100,11 +102,17 @@ def thinned_scans(source: Path, obs: Observations, station: str) -> tuple[list[S
     Further exposures of a pose stand where the first one does: they tell nothing of the cell.
     """
     kept, apart, o = [], [], PartOptions()
+    box = obs.cell.artefact(obs.cell.station(station).artefact).box
+    in_inches = 0.0 if box is None else min(LARGEST_INCHES, float(np.ptp(box, axis=0).max()) / SMALL)
     count = int((obs.station == [s.id for s in obs.cell.stations].index(station)).sum())
     most = min(o.points_per_scan, o.points_in_memory // max(count, 1))
     for scan in scans_at(source, obs, station)():
         if kept and scan.number == kept[-1].number:
             continue
+        span = float(np.ptp(scan.points, axis=0).max(initial=0.0))
+        if 0 < span < in_inches or 0 < np.abs(scan.points).max(initial=0.0) < SMALLEST_MM:
+            unit = "metres" if span < SMALLEST_MM / SMALL else "inches"
+            raise ConfigError(f"the scan of pose {scan.number} spans {span:.3g} mm, which looks like {unit}; convert the clouds to mm")
         surface = surface_of(scan)
         kept.append(thinned(surface, most))
         apart.append(spacing(surface.points))
@@ -132,10 +140,5 @@ def _of_folder(source: Path, of_pose: dict[int, np.ndarray]) -> Iterator[PartSca
     for number, q in of_pose.items():
         for path in (source / "scans" / f"{number}{suffix}" for suffix in SUFFIXES):
             if path.is_file():
-                points = read_points(path)
-                if (largest := float(np.abs(points).max())) < SMALLEST_MM:
-                    raise ConfigError(
-                        f"{path}: all coordinates are within {largest:.3g} mm, which looks like metres; convert the clouds to mm"
-                    )
-                yield PartScan(number, q, points)
+                yield PartScan(number, q, read_points(path))
                 break

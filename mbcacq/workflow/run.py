@@ -96,6 +96,23 @@ class Operator:
             raise ConfigError(f"{error}; the plan's robot is on this computer, a fake: --dry-run takes the whole fake cell") from error
 
 
+def allowed_acquisition(
+    operator: Operator, loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, dry_run: bool, seed: int
+) -> Acquisition:
+    """The checked path to the poses that remain, once a real arm may move along it. seed: of the fake cell in a dry run.
+
+    Raises what ``plan_acquisition`` and ``allow`` raise.
+    """
+    operator.progress("checking every motion between the poses")
+    acquisition = plan_acquisition(loaded, poses, done, part, name_of(dry_run, seed))
+    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
+    operator.progress("")
+    if not dry_run:
+        operator.allow(acquisition)
+    operator.progress("starting the fake cell" if dry_run else "")
+    return acquisition
+
+
 def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
     plan: LoadedPlan | Path | str,
     *,
@@ -174,15 +191,8 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         if folder is not None and all(pose.number in done for pose in poses):
             operator.message(f"all {len(poses)} poses were measured already; nothing moves")
             return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
-        operator.progress("checking every motion between the poses")
-        acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
-        acquisition.corrected = targets
-        acquisition.kind = _kind(loaded, folder)
-        acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
-        operator.progress("")
-        if not dry_run:
-            operator.allow(acquisition)
-        operator.progress("starting the fake cell" if dry_run else "")
+        acquisition = allowed_acquisition(operator, loaded, poses, done, before.part, dry_run, seed)
+        acquisition.corrected, acquisition.kind = targets, _kind(loaded, folder)
         try:
             known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done and folder is not None else None
             with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes, known) as overrides:

@@ -248,8 +248,8 @@ def _one_view(part, clouds):
     return replace(part, q=np.tile(part.q[0], (len(part.q), 1))), {k: clouds[int(part.pose_id[0])] for k in clouds}
 
 
-def _in_metres(part, clouds):
-    return part, {k: points / 1000 for k, points in clouds.items()}
+def _in_units_of(mm):
+    return lambda part, clouds: (part, {k: points / mm for k, points in clouds.items()})
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,8 @@ def _in_metres(part, clouds):
         (_one_alone, "no two scans of this part overlap"),
         (_each_elsewhere, "no two scans of this part overlap"),
         (_one_view, "all scans were taken at the same joint angles"),
-        (_in_metres, "looks like metres; convert the clouds to mm"),
+        (_in_units_of(1000), "looks like metres; convert the clouds to mm"),
+        (_in_units_of(25.4), "looks like inches; convert the clouds to mm"),
     ],
 )
 def test_scans_that_say_nothing_of_the_cell_are_refused_in_a_sentence(run, part_alone, tmp_path, wrong, says):
@@ -283,8 +284,7 @@ def test_the_part_alone_gives_the_hand_eye_that_the_balls_give(run):
     after = found.state.T_flange_scanner[:3, 3] - cell.state.T_flange_scanner[:3, 3]
     assert np.linalg.norm(after) < before / 10
     at = [found.names.index(f"hand_eye.{axis}") for axis in "xyz"]
-    local = cell.state.T_flange_scanner[:3, :3].T @ after
-    assert np.all(np.abs(local) < 4 * np.sqrt(np.diag(found.covariance)[at]))
+    assert np.all(np.abs(cell.state.T_flange_scanner[:3, :3].T @ after) < 4 * np.sqrt(np.diag(found.covariance)[at]))
 
 
 def test_scans_fit_once_the_part_alone_calibrated_hand_eye_and_arm(run):

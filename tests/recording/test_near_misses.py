@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from mbcacq.cli.app import app
 from mbcacq.cli.next_step import on_failure, say_after_failure
-from mbcacq.errors import RecordingError
+from mbcacq.errors import SystemRefused
 from mbcacq.recording.viewer import open_viewer
 
 
@@ -65,5 +65,5 @@ def test_pictures_without_a_driver_name_the_package(monkeypatch):
     monkeypatch.setattr(open_viewer.rerun_program, "started", lambda *_: ended)
     monkeypatch.setattr(open_viewer, "kill", lambda child: None)
     monkeypatch.setattr(open_viewer, "has_vulkan", lambda: False)
-    with pytest.raises(RecordingError, match="code 102; it needs a Vulkan driver.*mesa-vulkan-drivers"), open_viewer._client((9, 9), {}):
+    with pytest.raises(SystemRefused, match="code 102; it needs a Vulkan driver.*mesa-vulkan-drivers"), open_viewer._client((9, 9), {}):
         raise RuntimeError("the connection was closed")

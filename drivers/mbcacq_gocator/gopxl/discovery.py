@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import socket
 import struct
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Any
 
-from mbcacq.devices import ConnectError, ProtocolError
+from mbcacq.devices import ConnectError, ProtocolError, is_own_address
 from mbcacq_gocator import broadcast
 from mbcacq_gocator.broadcast import BROADCAST
 from mbcacq_gocator.gopxl.options import GoPxLOptions
@@ -78,17 +77,7 @@ def _reachable(announced: str, sender: str) -> str:
         return sender
     if address.is_unspecified or address.is_multicast or int(address) == 2**32 - 1:
         return sender
-    return sender if address.is_loopback and not _is_own(sender) else str(address)
-
-
-def _is_own(address: str) -> bool:
-    """Whether an address is one of this computer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((address, 0))
-        except OSError:
-            return False
-        return True
+    return sender if address.is_loopback and not is_own_address(sender) else str(address)
 
 
 def find(wait_s: float, address: str = BROADCAST, port: int = PORT, listen_port: int = PORT) -> list[FoundInstance]:

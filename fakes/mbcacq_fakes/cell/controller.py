@@ -3,7 +3,6 @@ only simulated, for any other driver."""
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
@@ -14,7 +13,7 @@ from mbcacq.acquisition.cell_devices import robot_options
 from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
 from mbcacq.workflow import controller_files
-from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
+from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4, refuse_foreign
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.cell.simulated_robot import LedTarget
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
@@ -175,7 +174,7 @@ def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
         "override": options.get("override") or 100,
         "loads": {tool: float(options.get("load_kg") or facts["load_kg"])},
     }
-    _can_listen(host, port)
+    refuse_foreign("controller", "robot", host, port)
     try:
         krc = FakeEkiController(state, **{**settings, **ours, **given})
     except (TypeError, ValueError) as error:
@@ -185,14 +184,3 @@ def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     except RuntimeError as error:
         raise ConfigError(f"{error}") from error
     return krc, {"address": host, "port": krc.port}
-
-
-def _can_listen(host: str, port: int) -> None:
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except OSError as error:
-        raise ConfigError(
-            f"the fake controller cannot listen at the plan's address {host}:{port} ({error.strerror}); "
-            "set the robot's address to 127.0.0.1 to try the plan against fakes"
-        ) from error

@@ -45,20 +45,26 @@ def ipv4(host: str) -> str:
     return LOOPBACK if host in ANY else host
 
 
+def refuse_foreign(fake: str, device: str, host: str, port: int) -> None:
+    """Raises ConfigError where the fake of a device cannot listen at the plan's address: it is not this computer's, or taken."""
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        at = f"{host}:{port}" if port else host
+        raise ConfigError(
+            f"the fake {fake} cannot listen at the plan's address {at} ({error.strerror}); "
+            f"set the {device}'s address to {LOOPBACK} to try the plan against fakes"
+        ) from error
+
+
 def scanner_address(driver: str, options: Mapping[str, Any], ports: str) -> dict[str, Any]:
     """Host and ports (0: any free) of the fake sensor. Raises ConfigError if the plan's address is not this computer's."""
     usual = SCANNERS[driver]
     if ports == "free":
         return {"host": LOOPBACK, **dict.fromkeys(usual, 0)}
     host = str(options.get("address", LOOPBACK))
-    try:
-        with socket.create_server((host, 0)):
-            pass
-    except OSError as error:
-        raise ConfigError(
-            f"the fake sensor cannot listen at the plan's address {host} ({error.strerror}); "
-            "set the scanner's address to 127.0.0.1 to try the plan against fakes"
-        ) from error
+    refuse_foreign("sensor", "scanner", host, 0)
     return {"host": host, **{name: int(options.get(name) or port) for name, port in usual.items()}}
 
 

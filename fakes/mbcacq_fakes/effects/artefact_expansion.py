@@ -12,7 +12,7 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class ArtefactExpansion(InjectedEffect):
     options = {"artefact": None, "scale_ppm": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         ids = [a.id for a in self.cell.artefacts]
         artefact = self.given["artefact"] or ids[0]
         if artefact not in ids:
@@ -23,9 +23,7 @@ class ArtefactExpansion(InjectedEffect):
         self._centres = self.cell.artefacts[index].centres
         given = self.given["scale_ppm"]
         self.scale = self.size(6e-4) if given is None else float(given) * 1e-6
+        return {"where": [self._id], "scale_ppm": self.scale * 1e6}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         moved.ball[:, self._balls] += self.scale * self._centres
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": [self._id], "scale_ppm": self.scale * 1e6}

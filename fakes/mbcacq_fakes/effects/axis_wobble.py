@@ -15,10 +15,16 @@ class AxisWobble(InjectedEffect):
 
     options = {"where": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._axes = self.axes(range(min(self.cell.n, 4)))
         self.lobes, self.phase = int(self.rng.integers(2, 6)), float(self.rng.uniform(-np.pi, np.pi))
         self.tilt = abs(self.size(2e-4 if self._axes[0] < 2 else 4e-4))
+        return {
+            "where": self.names(self._axes, "link"),
+            "depends_on": self.names(self._axes, "q"),
+            "lobes": self.lobes,
+            "tilt_rad": self.tilt,
+        }
 
     def displace(self, at: Moments, moved: Moved) -> None:
         for i in self._axes:
@@ -28,11 +34,3 @@ class AxisWobble(InjectedEffect):
             frames = self.arm.frames(at.q)
             turn = np.swapaxes(frames[:, i + 1, :3, :3], 1, 2) @ frames[:, i, :3, :3]
             moved.frame[:, i + 1, 3:] += self.tilt * (turn @ across[:, :, None])[:, :, 0]
-
-    def truth(self) -> dict[str, Any]:
-        return {
-            "where": self.names(self._axes, "link"),
-            "depends_on": self.names(self._axes, "q"),
-            "lobes": self.lobes,
-            "tilt_rad": self.tilt,
-        }

@@ -13,12 +13,13 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class Backlash(InjectedEffect):
     options = {"where": None, "width_deg": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._axes = self.axes(range(self.cell.n))
         typical = 3e-4 * (1 if self._axes[0] < 3 else 2.5)
         given = self.given["width_deg"]
         self.width = abs(self.size(typical)) if given is None else float(np.radians(given))
         self._output: np.ndarray | None = None
+        return {"where": self.names(self._axes), "width_deg": float(np.degrees(self.width))}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         half = self.width / 2
@@ -33,6 +34,3 @@ class Backlash(InjectedEffect):
                 for angle in (motor - at.direction[p, i] * 3 * self.width, motor):
                     output[i] = np.clip(output[i], angle - half, angle + half)
                 moved.joint[p, i] += output[i] - motor
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names(self._axes), "width_deg": float(np.degrees(self.width))}

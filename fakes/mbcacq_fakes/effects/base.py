@@ -14,7 +14,7 @@ from mbcacq_fakes.world.hooks import Moments, NoEffect
 
 
 class InjectedEffect(NoEffect):
-    """Subclasses draw their parameters in ``draw`` and act in ``displace`` or ``warp``. options: known names and their defaults."""
+    """Subclasses choose their parameters in ``draw`` and act in ``displace`` or ``warp``. options: known names and their defaults."""
 
     options: Mapping[str, Any] = {}
 
@@ -29,10 +29,14 @@ class InjectedEffect(NoEffect):
 
     def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
         super().begin(cell, arm, rng if self._seed is None else np.random.default_rng(self._seed))
-        self.draw()
+        self._drawn = self.draw()
 
-    def draw(self) -> None:
-        """Choose the parameters, once."""
+    def draw(self) -> dict[str, Any]:
+        """Choose the parameters, once. Returns them as ``truth`` names them."""
+        raise NotImplementedError
+
+    def truth(self) -> dict[str, Any]:
+        return self._drawn
 
     def axes(self, likely: Sequence[int], most: int = 1) -> list[int]:
         """Indices of the joints concerned: option ``where`` ('A2' or a list), else a draw of up to ``most`` of ``likely``."""

@@ -15,10 +15,11 @@ from mbcacq_fakes.world.rigid import carry, rigid, rotation_about
 class BaseCompliance(InjectedEffect):
     options = {"compliance_rad_per_Nm": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         given = self.given["compliance_rad_per_Nm"]
         moment = float(np.linalg.norm(self._moment(np.zeros((1, self.cell.n)), np.zeros((1, 3)))))
         self.compliance = abs(self.size(2e-4 / max(moment, 1.0))) if given is None else float(given)
+        return {"where": ["base"], "compliance_rad_per_Nm": self.compliance}
 
     def _moment(self, q: np.ndarray, tilt: np.ndarray) -> np.ndarray:
         """(P, 3) N m about the base origin, of an arm already tilted by rotation vectors (P, 3)."""
@@ -33,6 +34,3 @@ class BaseCompliance(InjectedEffect):
         for _ in range(3):
             tilt = self.compliance * self._moment(at.q, tilt)
         moved.frame[:, 0, 3:] += tilt
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["base"], "compliance_rad_per_Nm": self.compliance}

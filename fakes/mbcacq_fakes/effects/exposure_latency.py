@@ -11,11 +11,9 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class ExposureLatency(InjectedEffect):
     options = {"latency_s": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self.latency = abs(self.size(0.004)) if self.given["latency_s"] is None else float(self.given["latency_s"])
+        return {"where": ["scanner"], "latency_s": self.latency}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         moved.joint += self.latency * at.velocity
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["scanner"], "latency_s": self.latency}

@@ -18,7 +18,7 @@ class GearTransmissionError(InjectedEffect):
 
     options = {"where": None, "order": None, "amplitude_deg": None, "phase_deg": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._axes = self.axes(range(self.cell.n))
         ratio = float(self.cell.gear_ratio[self._axes[0]])
         given = self.given
@@ -31,16 +31,14 @@ class GearTransmissionError(InjectedEffect):
         self.amplitude = drawn if given["amplitude_deg"] is None else np.radians(np.atleast_1d(given["amplitude_deg"]).astype(float))
         phases = self.rng.uniform(-np.pi, np.pi, len(self.order))
         self.phase = phases if given["phase_deg"] is None else np.radians(np.atleast_1d(given["phase_deg"]).astype(float))
-
-    def displace(self, at: Moments, moved: Moved) -> None:
-        for i in self._axes:
-            wheel = self.order * at.q[:, i, None] + self.phase
-            moved.joint[:, i] += np.arctan2(self.amplitude * np.sin(wheel), 1 + self.amplitude * np.cos(wheel)).sum(axis=1)
-
-    def truth(self) -> dict[str, Any]:
         return {
             "where": self.names(self._axes),
             "order": self.order.tolist(),
             "amplitude_deg": np.degrees(self.amplitude).tolist(),
             "phase_deg": np.degrees(self.phase).tolist(),
         }
+
+    def displace(self, at: Moments, moved: Moved) -> None:
+        for i in self._axes:
+            wheel = self.order * at.q[:, i, None] + self.phase
+            moved.joint[:, i] += np.arctan2(self.amplitude * np.sin(wheel), 1 + self.amplitude * np.cos(wheel)).sum(axis=1)

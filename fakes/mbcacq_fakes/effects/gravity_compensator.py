@@ -15,7 +15,7 @@ class GravityCompensator(InjectedEffect):
 
     options = {"compliance_rad_per_Nm": None, "share": None, "lever_ratio": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         q = np.zeros((361, self.cell.n))
         q[:, 1] = np.linspace(-np.pi, np.pi, 361)
         weight = self.cell.masses.torque(self.arm, q)[:, 1]
@@ -28,6 +28,7 @@ class GravityCompensator(InjectedEffect):
         self.compliance = abs(self.size(4e-4)) / reach if compliance is None else float(compliance)
         self._force = 1.0
         self._force = self.share * reach / float(np.abs(self._torque(q[:, 1])).max())
+        return {"where": self.names([1]), "share": self.share, "lever_ratio": self.ratio, "wound_up_rad_per_Nm": self.compliance}
 
     def _torque(self, q2: np.ndarray) -> np.ndarray:
         """N m, that lifts the link: the anchor stands upright behind the axis, the rod's other end turns with the link."""
@@ -41,6 +42,3 @@ class GravityCompensator(InjectedEffect):
     def displace(self, at: Moments, moved: Moved) -> None:
         load = self.cell.masses.torque(self.arm, at.q)[:, 1] + self._torque(at.q[:, 1])
         moved.joint[:, 1] += self.compliance * load
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names([1]), "share": self.share, "lever_ratio": self.ratio, "wound_up_rad_per_Nm": self.compliance}

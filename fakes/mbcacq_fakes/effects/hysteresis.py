@@ -13,12 +13,13 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class Hysteresis(InjectedEffect):
     options = {"where": None, "half_width_rad_per_Nm": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         loaded = [i for i in (1, 2) if i < self.cell.n]
         self._axes = self.axes(loaded)
         reach = float(np.abs(self.cell.masses.torque(self.arm, np.zeros((1, self.cell.n)))).max())
         given = self.given["half_width_rad_per_Nm"]
         self.half = abs(self.size(2e-4)) / max(reach, 1.0) if given is None else float(given)
+        return {"where": self.names(self._axes), "half_width_rad_per_Nm": self.half}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         """The output follows the motor until friction, a share of the load, holds it: dragged from the side it came from."""
@@ -30,6 +31,3 @@ class Hysteresis(InjectedEffect):
                 for angle in (motor - at.direction[p, i] * 3 * half[p], motor):
                     rest = float(np.clip(rest, angle - half[p], angle + half[p]))
                 moved.joint[p, i] += rest - motor
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names(self._axes), "half_width_rad_per_Nm": self.half}

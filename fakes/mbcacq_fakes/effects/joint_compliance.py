@@ -15,7 +15,7 @@ TYPICAL = np.array([0.5, 1.2, 1.7, 6.0, 8.0, 12.0]) * 1e-6  # rad / N m, softer 
 class JointCompliance(InjectedEffect):
     options = {"where": None, "compliance_rad_per_Nm": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         loaded = [i for i in (1, 2) if i < self.cell.n]
         self._axes = self.axes(loaded, most=len(loaded))
         given = self.given["compliance_rad_per_Nm"]
@@ -23,6 +23,10 @@ class JointCompliance(InjectedEffect):
         for i in self._axes:
             typical = TYPICAL[min(i, 5)] * self._softness()
             self.compliance[i] = abs(self.size(typical)) if given is None else float(given)
+        return {
+            "where": self.names(self._axes),
+            "compliance_rad_per_Nm": {self.cell.axes[i]: float(self.compliance[i]) for i in self._axes},
+        }
 
     def _softness(self) -> float:
         """A light arm carries little and is built soft: the same deflection under its own outstretched weight."""
@@ -34,9 +38,3 @@ class JointCompliance(InjectedEffect):
         for _ in range(4):  # the torque changes little over a wind-up of a milliradian: a contraction
             wound = commanded + self.compliance * self.cell.masses.torque(self.arm, wound)
         moved.joint += wound - commanded
-
-    def truth(self) -> dict[str, Any]:
-        return {
-            "where": self.names(self._axes),
-            "compliance_rad_per_Nm": {self.cell.axes[i]: float(self.compliance[i]) for i in self._axes},
-        }

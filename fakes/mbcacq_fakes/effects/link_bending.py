@@ -16,10 +16,11 @@ class LinkBending(InjectedEffect):
 
     options = {"where": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._axes = self.axes([i for i in (1, 2) if i < self.cell.n])
         self.twist, self.bears = abs(self.size(5e-4)), 0.4
         self._scale = float(np.std(self._moment(self.planned, self._axes[0])[0])) or 1.0
+        return {"where": self.names(self._axes, "link"), "depends_on": ["gravity"], "twist_rad": self.twist}
 
     def _moment(self, q: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
         """Twisting moment (P,) N m about the long axis of link i, and that axis (P, 3) in the frame behind the link."""
@@ -36,6 +37,3 @@ class LinkBending(InjectedEffect):
         for i in self._axes:
             moment, along = self._moment(at.q, i)
             moved.frame[:, i + 1, 3:] += (self.twist * np.tanh(self.bears * moment / self._scale) / self.bears)[:, None] * along
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names(self._axes, "link"), "depends_on": ["gravity"], "twist_rad": self.twist}

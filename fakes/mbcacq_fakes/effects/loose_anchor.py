@@ -12,7 +12,7 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 
 
 class LooseAnchor(InjectedEffect):
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         side = self.rng.uniform(-0.35, 0.35)  # the arm works to its front; a bolt at its back would never lift
         self.axis = np.array([-np.sin(side), np.cos(side), 0.0])
         self.gap = abs(self.size(2.5e-4))
@@ -21,6 +21,7 @@ class LooseAnchor(InjectedEffect):
         # It lifts somewhere in the middle of what the arm does.
         self._level = float(np.quantile(usual, self.rng.uniform(0.35, 0.65)))
         self._soft = 0.3 * float(np.std(usual)) or 0.05 * abs(self._level)
+        return {"where": ["base"], "depends_on": ["gravity"], "gap_rad": self.gap}
 
     def _moment(self, q: np.ndarray) -> np.ndarray:
         """(P,) N m that tips the pedestal over to that side."""
@@ -30,6 +31,3 @@ class LooseAnchor(InjectedEffect):
     def displace(self, at: Moments, moved: Moved) -> None:
         tipped = 0.5 * (1 + np.tanh((self._moment(at.q) - self._level) / self._soft))
         moved.frame[:, 0, 3:] += (self.gap * tipped)[:, None] * self.axis
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["base"], "depends_on": ["gravity"], "gap_rad": self.gap}

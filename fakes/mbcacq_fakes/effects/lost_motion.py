@@ -25,7 +25,7 @@ class LostMotion(InjectedEffect):
         "second_breakpoint_Nm": 1.0,
     }
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         loaded = [i for i in (1, 2) if i < self.cell.n]
         self._axes = self.axes(loaded)
         (i,) = self._axes
@@ -37,6 +37,12 @@ class LostMotion(InjectedEffect):
         self.second = float(np.radians(given["second_lost_motion_deg"])), float(given["second_breakpoint_Nm"])
         beyond = given["compliance_rad_per_Nm"]
         self.beyond = self.strength * float(self.rng.uniform(0.3, 1.0)) * 1.5e-4 / reach if beyond is None else float(beyond)
+        return {
+            "where": self.names(self._axes),
+            "lost_motion_deg": float(np.degrees(self.lost)),
+            "breakpoint_Nm": self.breakpoint,
+            "beyond_rad_per_Nm": self.beyond,
+        }
 
     def _wound(self, torque: np.ndarray) -> np.ndarray:
         """Springs in series, of which the soft ones meet their stops at T1 and T2."""
@@ -53,11 +59,3 @@ class LostMotion(InjectedEffect):
             wound = commanded.copy()
             wound[:, i] += self._wound(torque)
         moved.joint += wound - commanded
-
-    def truth(self) -> dict[str, Any]:
-        return {
-            "where": self.names(self._axes),
-            "lost_motion_deg": float(np.degrees(self.lost)),
-            "breakpoint_Nm": self.breakpoint,
-            "beyond_rad_per_Nm": self.beyond,
-        }

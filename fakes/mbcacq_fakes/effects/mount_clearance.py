@@ -15,7 +15,7 @@ STICKS = 0.05  # of its weight
 class MountClearance(InjectedEffect):
     options = {"play_mm": None, "play_deg": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self.line, other = self.rng.standard_normal((2, 3))
         self.line = self.line / np.linalg.norm(self.line)
         across = np.cross(self.line, other)
@@ -24,6 +24,7 @@ class MountClearance(InjectedEffect):
         self.tip = abs(self.size(3e-4)) if tip is None else float(np.radians(tip))
         self._half = np.r_[self.play / 2 * self.line, self.tip / 2 * across / np.linalg.norm(across)]
         self._seat = 0.0
+        return {"where": ["mount"], "play_mm": self.play, "play_deg": float(np.degrees(self.tip))}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         flange = self.arm.flange(at.q + moved.joint)
@@ -32,6 +33,3 @@ class MountClearance(InjectedEffect):
             if abs(pull) > STICKS or not self._seat:
                 self._seat = float(np.sign(pull)) or 1.0
             moved.frame[p, -1] += self._seat * self._half
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["mount"], "play_mm": self.play, "play_deg": float(np.degrees(self.tip))}

@@ -14,7 +14,7 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class MountCompliance(InjectedEffect):
     options = {"kind": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         kind = self.given["kind"] or self.rng.choice(["tilt", "shift", "both"])
         masses = self.cell.masses
         # Without a known tool: a scanner of 1.5 kg half way to its measuring volume.
@@ -23,6 +23,7 @@ class MountCompliance(InjectedEffect):
         weight = self.mass * STANDARD_GRAVITY
         self.tilt = 0.0 if kind == "shift" else abs(self.size(3e-4 / max(weight * float(np.linalg.norm(self.com)) * 1e-3, 0.05)))
         self.shift = 0.0 if kind == "tilt" else abs(self.size(0.06 / weight))
+        return {"where": ["mount"], "compliance_rad_per_Nm": self.tilt, "compliance_mm_per_N": self.shift}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         flange = self.arm.flange(at.q + moved.joint)
@@ -30,6 +31,3 @@ class MountCompliance(InjectedEffect):
         force = self.mass * STANDARD_GRAVITY * np.einsum("c,pcd->pd", self.cell.masses.gravity, flange[:, :3, :3])
         moved.frame[:, -1, :3] += self.shift * force
         moved.frame[:, -1, 3:] += self.tilt * np.cross(self.com, force) * 1e-3
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["mount"], "compliance_rad_per_Nm": self.tilt, "compliance_mm_per_N": self.shift}

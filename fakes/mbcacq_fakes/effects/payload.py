@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from mbcacq_fakes.effects.base import InjectedEffect
-from mbcacq_fakes.world.arm import TrueArm
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.hooks import Moments, Moved
 
@@ -25,18 +24,15 @@ class Payload(InjectedEffect):
         self.com = declared.payload_com + self.strength * rng.uniform(-40, 40, 3) if com is None else np.array(com, dtype=float)
         return dataclasses.replace(cell, masses=dataclasses.replace(declared, payload_mass=self.mass, payload_com=self.com))
 
-    def begin(self, cell: CellFacts, arm: TrueArm, rng: np.random.Generator) -> None:
-        super().begin(cell, arm, rng)
-        self.compliance = np.zeros(cell.n)
+    def draw(self) -> dict[str, Any]:
+        self.compliance = np.zeros(self.cell.n)
         self.compliance[1:3] = float(self.given["compliance_rad_per_Nm"])
-
-    def displace(self, at: Moments, moved: Moved) -> None:
-        moved.joint += self.compliance * self.cell.masses.torque(self.arm, at.q + moved.joint)
-
-    def truth(self) -> dict[str, Any]:
         return {
             "where": ["mount"],
             "mass_kg": self.mass,
             "com_mm": np.asarray(self.com).tolist(),
             "compliance_rad_per_Nm": self.compliance.tolist(),
         }
+
+    def displace(self, at: Moments, moved: Moved) -> None:
+        moved.joint += self.compliance * self.cell.masses.torque(self.arm, at.q + moved.joint)

@@ -18,10 +18,12 @@ class ScannerDistortion(InjectedEffect):
 
     options = {"kind": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self.kind = str(self.given["kind"] or self.rng.choice(["curvature", "radial", "depth"]))
         power = {"curvature": 2, "radial": 3, "depth": 2}[self.kind]
         self.coefficient = self.size(0.06) / EDGE**power
+        name = {"curvature": "field_curvature_per_mm", "radial": "radial_per_mm2", "depth": "depth_scale_per_mm"}[self.kind]
+        return {"where": ["scanner"], name: self.coefficient}
 
     def warp(self, points: np.ndarray, pose: np.ndarray, at: Moments) -> np.ndarray:
         out = points.copy()
@@ -33,7 +35,3 @@ class ScannerDistortion(InjectedEffect):
         else:
             out[:, :2] *= 1 + self.coefficient * points[:, 2:]
         return out
-
-    def truth(self) -> dict[str, Any]:
-        name = {"curvature": "field_curvature_per_mm", "radial": "radial_per_mm2", "depth": "depth_scale_per_mm"}[self.kind]
-        return {"where": ["scanner"], name: self.coefficient}

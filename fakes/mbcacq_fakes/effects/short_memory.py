@@ -13,11 +13,17 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class ShortMemory(InjectedEffect):
     options = {"where": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._axes = self.axes(range(self.cell.n))
         self.lag, self.length = abs(self.size(4e-4 if self._axes[0] < 3 else 8e-4)), self.rng.uniform(0.15, 0.4)
         self._last: np.ndarray | None = None
         self._kept = np.zeros(self.cell.n)
+        return {
+            "where": self.names(self._axes),
+            "depends_on": self.names(self._axes, "direction_"),
+            "lag_rad": self.lag,
+            "length_rad": self.length,
+        }
 
     def displace(self, at: Moments, moved: Moved) -> None:
         last = at.q[0].copy() if self._last is None and len(at) else self._last
@@ -31,11 +37,3 @@ class ShortMemory(InjectedEffect):
                     self._kept[i] = -self.lag * np.sign(travel) * np.exp(-abs(travel) / self.length)
                     last[i] = at.q[p, i]
                 moved.joint[p, i] += self._kept[i]
-
-    def truth(self) -> dict[str, Any]:
-        return {
-            "where": self.names(self._axes),
-            "depends_on": self.names(self._axes, "direction_"),
-            "lag_rad": self.lag,
-            "length_rad": self.length,
-        }

@@ -19,7 +19,7 @@ class SpalledRaceway(InjectedEffect):
 
     options = {"where": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self._joint = self.axes(range(min(self.cell.n, 3)))[0]
         self.tilt = abs(self.size(4e-4))
         self.half_width = float(np.radians(self.rng.uniform(25, 45)))
@@ -30,6 +30,14 @@ class SpalledRaceway(InjectedEffect):
         # The damage lies where the bearing is loaded now and then: counted from the mean direction, in the middle of what occurs.
         mean = np.angle(np.exp(1j * passed).mean())
         self.at = float(mean + np.quantile(np.angle(np.exp(1j * (passed - mean))), self.rng.uniform(0.25, 0.75)))
+        turned = range(self._joint, self._joint + 1) if self._joint < 2 else (1, 2)
+        return {
+            "where": self.names([self._joint], "link"),
+            "observable_at": self.names([self._joint + 1]) if self._is_next_joint else [],
+            "depends_on": self.names(turned, "q"),
+            "tilt_rad": self.tilt,
+            "half_width_rad": self.half_width,
+        }
 
     def _loaded_side(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angle (P,) rad in the damaged ring of the middle of the loaded zone, and about what (P, 3), base frame, the link tilts there."""
@@ -52,13 +60,3 @@ class SpalledRaceway(InjectedEffect):
         share = np.maximum(1 - (1 - np.cos(angle - self.at)) / clearance, 0) ** 1.11  # line contact
         behind = self.arm.frames(at.q)[:, self._joint + 1, :3, :3]
         moved.frame[:, self._joint + 1, 3:] += self.tilt * share[:, None] * np.einsum("pij,pi->pj", behind, about)
-
-    def truth(self) -> dict[str, Any]:
-        turned = range(self._joint, self._joint + 1) if self._joint < 2 else (1, 2)
-        return {
-            "where": self.names([self._joint], "link"),
-            "observable_at": self.names([self._joint + 1]) if self._is_next_joint else [],
-            "depends_on": self.names(turned, "q"),
-            "tilt_rad": self.tilt,
-            "half_width_rad": self.half_width,
-        }

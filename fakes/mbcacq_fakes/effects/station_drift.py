@@ -16,7 +16,7 @@ class StationDrift(InjectedEffect):
 
     options = {"station": None, "drift_mm": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         ids = self.cell.station_ids
         station = str(self.given["station"]) if self.given["station"] is not None else ids[int(self.rng.integers(len(ids)))]
         if station not in ids:
@@ -25,6 +25,7 @@ class StationDrift(InjectedEffect):
         drift = self.vector(0.15) if self.given["drift_mm"] is None else np.array(self.given["drift_mm"], dtype=float)
         share_s = self.cell.planned_poses * self.cell.pace_s / len(ids)
         self.rate, self._began, self.total = drift / max(share_s, 1.0), None, np.zeros(3)
+        return {"where": [f"station{self._id}"], "rate_mm_per_s": self.rate.tolist()}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         here = np.flatnonzero(at.station == self._index)
@@ -38,4 +39,4 @@ class StationDrift(InjectedEffect):
         moved.station[here, :3] += gone @ turn
 
     def truth(self) -> dict[str, Any]:
-        return {"where": [f"station{self._id}"], "drift_mm": self.total.tolist(), "rate_mm_per_s": self.rate.tolist()}
+        return {**super().truth(), "drift_mm": self.total.tolist()}

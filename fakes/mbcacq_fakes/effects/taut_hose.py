@@ -20,7 +20,7 @@ class TautHose(InjectedEffect):
     BACK, BESIDE = 180.0, 90.0  # mm, of the clamp on the forearm: from the hand axis back, and off the forearm
     OUT, FORWARD = 75.0, 60.0  # mm, of the clamp on the bracket: off the flange's axis, and beyond the flange
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         zero = self.arm.zero
         wrist = self.cell.n - 2  # the frame behind the forearm
         back = zero[wrist, :3, :3].T @ (zero[wrist - 1, :3, 3] - zero[wrist, :3, 3])
@@ -32,6 +32,14 @@ class TautHose(InjectedEffect):
         self.lean = abs(self.size(4e-4))
         # It is taut in a third to a half of what the arm does.
         self.length = float(np.quantile(np.linalg.norm(self._between(self.planned), axis=1), self.rng.uniform(0.5, 0.67)))
+        last = self.cell.n
+        return {
+            "where": ["mount"],
+            "depends_on": [f"q{last - 1}", f"q{last}"],
+            "length_mm": self.length,
+            "stiffness_N_per_mm": self.STIFFNESS,
+            "lean_rad_per_Nm": self.lean,
+        }
 
     def _between(self, q: np.ndarray) -> np.ndarray:
         """(P, 3) mm from the clamp on the bracket to that on the forearm, in the flange frame."""
@@ -45,13 +53,3 @@ class TautHose(InjectedEffect):
         distance = np.linalg.norm(between, axis=1, keepdims=True)
         force = self.STIFFNESS * np.maximum(distance - self.length, 0) * between / distance  # N
         moved.frame[:, self.cell.n, 3:] += self.lean * np.cross(self._bracket * 1e-3, force)
-
-    def truth(self) -> dict[str, Any]:
-        last = self.cell.n
-        return {
-            "where": ["mount"],
-            "depends_on": [f"q{last - 1}", f"q{last}"],
-            "length_mm": self.length,
-            "stiffness_N_per_mm": self.STIFFNESS,
-            "lean_rad_per_Nm": self.lean,
-        }

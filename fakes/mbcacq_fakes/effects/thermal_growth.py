@@ -15,7 +15,7 @@ class ThermalGrowth(InjectedEffect):
 
     options = {"where": None, "growth_mm_per_K": None, "lag_s": 0.0}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         step = np.diff(self.arm.zero[:, :3, 3], axis=0)
         length = np.linalg.norm(step, axis=1)
         self._axes = self.axes([i for i in range(self.cell.n) if length[i] > 200.0])
@@ -25,6 +25,7 @@ class ThermalGrowth(InjectedEffect):
         # A bare aluminium link of this length would grow by 23 ppm; castings and their drives by more, and unevenly.
         self.growth = abs(self.size(0.02)) if given is None else float(given)
         self._link_C, self._time, self._reference = 0.0, None, 0.0
+        return {"where": self.names(self._axes, "link"), "growth_mm_per_K": self.growth, "lag_s": self.given["lag_s"]}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         for p in range(len(at)):
@@ -36,6 +37,3 @@ class ThermalGrowth(InjectedEffect):
                 self._link_C += share * (body - self._link_C)
             self._time = now
             moved.frame[p, self._axes[0] + 1, :3] += self.growth * (self._link_C - self._reference) * self._along
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names(self._axes, "link"), "growth_mm_per_K": self.growth, "lag_s": self.given["lag_s"]}

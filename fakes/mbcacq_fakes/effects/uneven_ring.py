@@ -13,14 +13,12 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class UnevenRing(InjectedEffect):
     """Once a turn would be a tilted axis, which is geometry."""
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         self.lobes, self.phase = int(self.rng.integers(2, 4)), float(self.rng.uniform(-np.pi, np.pi))
         self.tilt = abs(self.size(2e-4))
         side = float(self.rng.uniform(-np.pi, np.pi))
         self._about = np.array([np.cos(side), np.sin(side), 0.0])
+        return {"where": ["base"], "depends_on": ["q1"], "lobes": self.lobes, "tilt_rad": self.tilt}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         moved.frame[:, 0, 3:] += self.tilt * np.cos(self.lobes * at.q[:, :1] + self.phase) * self._about
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": ["base"], "depends_on": ["q1"], "lobes": self.lobes, "tilt_rad": self.tilt}

@@ -12,7 +12,7 @@ from mbcacq_fakes.world.hooks import Moments, Moved
 class WristCoupling(InjectedEffect):
     options = {"where": None, "ratio": None}
 
-    def draw(self) -> None:
+    def draw(self) -> dict[str, Any]:
         last = self.cell.n - 1
         if self.given["where"] is not None:
             pair = self.axes([])
@@ -23,9 +23,7 @@ class WristCoupling(InjectedEffect):
             choices = ((last - 2, last - 1), (last - 2, last), (last - 1, last))
             self.source, self.target = choices[int(self.rng.integers(3))]
         self.ratio = self.size(4e-4) if self.given["ratio"] is None else float(self.given["ratio"])
+        return {"where": self.names([self.source, self.target]), "ratio": self.ratio}
 
     def displace(self, at: Moments, moved: Moved) -> None:
         moved.joint[:, self.target] += self.ratio * at.q[:, self.source]
-
-    def truth(self) -> dict[str, Any]:
-        return {"where": self.names([self.source, self.target]), "ratio": self.ratio}

@@ -49,16 +49,6 @@ def send(sock: socket.socket, data: bytes, to: tuple[str, int], interface: int =
         return
 
 
-def is_own(address: str) -> bool:
-    """Whether an address is one of this computer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((address, 0))
-        except OSError:
-            return False
-        return True
-
-
 def facing(asker: tuple[str, int]) -> str:
     """This computer's address as ``asker`` sees it; '' if there is no way to it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

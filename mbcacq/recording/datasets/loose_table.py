@@ -46,7 +46,7 @@ _BALL = re.compile(r"^([xyz])_?(\d+)$")
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """What is said of a table beside its headings; None: by the headings, or by the data.
+    """What the user says of a table; None: the headings or the data decide.
 
     flange, target: conventions of orientations (makers' names or words of ``mbcacq.geometry.orientations``). length ('mm', 'm') and angle
     ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. flange_inverted, target_inverted: whether the base's pose in
@@ -130,11 +130,11 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
     _refuse_unfitting([made[j][1] for misfit, j in scored if misfit < CLEARLY * best][:MOST_DOUBTED] or [obs], best, table)
     close = [made[j][0] for misfit, j in others if misfit < CLEARLY * max(best, NEVER_MM)]
     if close:
-        asked = "; or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
+        asked = ", or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
         raise ConfigError(
-            f"{table.path}: the data fit {reading.differs(close[0])} (residual {best:.3g} mm) no better than {asked}; say which it is: "
-            "--flange, --target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, and turn more "
-            "between the poses next time"
+            f"{table.path}: its columns can be read in several ways that fit alike (residual {best:.3g} mm); say which it is: --flange, "
+            "--target, --eye-in-hand, --eye-to-hand, --target-inverted or --target-direct of mbcacq data new, or turn the flange by 15° "
+            f"and more about several axes; the ways are {reading.differs(close[0])}, or {asked}"
         )
     if not options.by_instrument and (off := computed_by_the_arm(obs)) is not None:
         raise ConfigError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -25,10 +24,12 @@ def validate(model: type[Spec], file: YamlFile) -> Spec:
     known = get_args(model.model_fields["format"].annotation) if "format" in model.model_fields else ()
     if sentence := newer_format(data.get("format"), known):
         raise file.error(("format",), f"it {sentence}")
-    for path, key, meant in misspelt(model, data):
-        raise file.error((*path, key), f"the key '{key}' is not known; '{meant}' is meant? correct it")
+    slips: list[tuple[tuple[int | str, ...], str]] = []
+    known_data = known_only(model, data, slips)
+    for path, meant in slips:
+        raise file.error(path, f"the key '{path[-1]}' is not known; '{meant}' is meant? correct it")
     try:
-        return model.model_validate(known_only(model, data))
+        return model.model_validate(known_data)
     except ValidationError as error:
         first = error.errors()[0]
         place, more = name_of(first["loc"]), f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
@@ -37,38 +38,22 @@ def validate(model: type[Spec], file: YamlFile) -> Spec:
         raise file.error(first["loc"], f"{place}: {first['msg']}{more}; correct it") from None
 
 
-def known_only(kind: Any, data: Any) -> Any:
-    """Data (mappings, lists) without the keys that a pydantic model or an annotation made of such models does not know."""
+def known_only(kind: Any, data: Any, slips: list[tuple[tuple[int | str, ...], str]], path: tuple[int | str, ...] = ()) -> Any:
+    """Data (mappings, lists) without the keys that a pydantic model or an annotation made of such models does not know.
+
+    slips: gets the path of each such key that resembles one which the data at ``path`` lack, and that one.
+    """
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if not isinstance(data, dict):
             return data
         fields = kind.model_fields
-        return {key: known_only(fields[key].annotation, value) for key, value in data.items() if key in fields}
-    parts = [part for part in get_args(kind) if part is not type(None)]
-    if isinstance(data, list) and parts:
-        return [known_only(parts[0], entry) for entry in data]
-    return known_only(parts[0], data) if len(parts) == 1 and isinstance(data, dict) else data
-
-
-def misspelt(kind: Any, data: Any, path: tuple[int | str, ...] = ()) -> Iterator[tuple[tuple[int | str, ...], str, str]]:
-    """(path, key, known key that it resembles) of the keys that a pydantic model does not know and that look like one it lacks here."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        if not isinstance(data, dict):
-            return
-        fields = kind.model_fields
         missing = [field for field in fields if field not in data]
-        for key, value in data.items():
-            if key in fields:
-                yield from misspelt(fields[key].annotation, value, (*path, key))
-            elif meant := _resembled(str(key), missing):
-                yield path, str(key), meant
-        return
+        slips += [((*path, key), meant) for key in data if key not in fields and (meant := _resembled(str(key), missing))]
+        return {key: known_only(fields[key].annotation, value, slips, (*path, key)) for key, value in data.items() if key in fields}
     parts = [part for part in get_args(kind) if part is not type(None)]
     if isinstance(data, list) and parts:
-        for i, entry in enumerate(data):
-            yield from misspelt(parts[0], entry, (*path, i))
-    elif len(parts) == 1 and isinstance(data, dict):
-        yield from misspelt(parts[0], data, path)
+        return [known_only(parts[0], entry, slips, (*path, i)) for i, entry in enumerate(data)]
+    return known_only(parts[0], data, slips, path) if len(parts) == 1 and isinstance(data, dict) else data
 
 
 def _resembled(key: str, known: list[str]) -> str | None:

@@ -61,7 +61,7 @@ def send_default_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint)
     """Write ``blueprint`` into ``stream`` as what a viewer shows at first. The stream must have its sinks already.
 
     As ``RecordingStream.send_blueprint``, which holds the blueprint in a stream of its own whose memory refers back to that stream: the
-    two keep each other, and two threads, until the program ends. To disconnect that stream ends the circle.
+    two keep each other, and two threads, until the program ends. Disconnecting that stream ends the circle.
     """
     application = stream.get_application_id()
     assert application is not None  # every stream of new_stream has one

@@ -95,7 +95,7 @@ def screenshots(
     """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing. The
     pictures are one set: those of before stay where they cannot all be made.
 
-    progress: gets a sentence a step. Raises RecordingError if there is no Vulkan driver (a software one will do), ConfigError where
+    progress: gets a sentence a step. Raises SystemRefused if there is no Vulkan driver (a software one will do), ConfigError where
     there is no such pose.
     """
     progress("reading the recording")
@@ -203,7 +203,8 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
 
 @contextmanager
 def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]:
-    """A client of a viewer without a screen, which ends with the block. Errors of the viewer become a RecordingError."""
+    """A client of a viewer without a screen, which ends with the block. Errors of the viewer become a RecordingError, a computer
+    that cannot draw is SystemRefused."""
     port = rerun_program.free_port()
     window = ("--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}")
     child = rerun_program.started([*window, *QUIETLY], environment, subprocess.DEVNULL, subprocess.DEVNULL)
@@ -216,7 +217,7 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
                 break
             except Exception as error:  # noqa: BLE001 the client raises whatever its transport does while the viewer starts
                 if child.poll() is not None or time.monotonic() > deadline:
-                    raise RecordingError(
+                    raise SystemRefused(
                         f"no picture could be made: the viewer does not start without a screen; {WITHOUT_VULKAN}"
                     ) from error
                 time.sleep(0.2)
@@ -226,7 +227,7 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
             ended = child.poll()
             why = str(error).splitlines()[0] if ended is None else f"the viewer ended by itself, code {ended}; is there too little memory?"
             if ended is not None and not has_vulkan():
-                raise RecordingError(f"no picture could be made: the viewer ended by itself, code {ended}; {WITHOUT_VULKAN}") from error
+                raise SystemRefused(f"no picture could be made: the viewer ended by itself, code {ended}; {WITHOUT_VULKAN}") from error
             raise RecordingError(f"no picture could be made ({why}); try again, or look with mbcacq view") from error
     finally:
         kill(child)

@@ -8,12 +8,11 @@ from importlib.resources import files
 from xml.etree import ElementTree
 
 from defusedxml import ElementTree as SafeTree
-from defusedxml.common import DefusedXmlException
 
+from mbcacq.devices import parse_xml
 from mbcacq_fakes.protocols.gocator.replies import BAD_PARAMETER, EXISTS, FORMAT, NOT_FOUND, CommandRefused
 
 CAPACITY = 256 * 2**20
-_MAX_DEPTH = 64
 EXPOSURE = "Setup/Devices/Device[@role='0']/Exposure"  # us
 LIVE_CFG, LIVE_TFM, LIVE_JOB, LIVE_LOG = "_live.cfg", "_live.tfm", "_live.job", "_live.log"
 
@@ -125,32 +124,11 @@ class Files:
         self.modified = True
 
 
-class _BoundedConfiguration(ElementTree.TreeBuilder):
-    """Refuses what is nested deeper than any configuration, and would end the process when it is discarded."""
-
-    depth = 0
-
-    def start(self, tag, attrs, /):
-        self.depth += 1
-        if self.depth > _MAX_DEPTH:
-            raise CommandRefused(FORMAT)
-        return super().start(tag, attrs)
-
-    def end(self, tag, /):
-        self.depth -= 1
-        return super().end(tag)
-
-
 def _parse(data: bytes) -> ElementTree.Element:
-    parser = SafeTree.DefusedXMLParser(target=_BoundedConfiguration(), forbid_dtd=True)
     try:
-        parser.feed(data)
-        root = parser.close()
-    except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError):
+        return parse_xml(data, "Configuration")
+    except ValueError:
         raise CommandRefused(FORMAT) from None
-    if root.tag != "Configuration":
-        raise CommandRefused(FORMAT)
-    return root
 
 
 def _serialise(tree: ElementTree.Element) -> bytes:

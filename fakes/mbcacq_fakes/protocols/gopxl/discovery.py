@@ -9,6 +9,7 @@ from collections.abc import Callable
 from ipaddress import IPv4Address
 from typing import Any
 
+from mbcacq.devices import is_own_address
 from mbcacq_fakes.protocols import datagrams
 
 PORT = 3320
@@ -44,7 +45,7 @@ class GoPxLDiscovery(datagrams.Responder):
     def respond(self, data: bytes, asker: tuple[str, int], interface: int) -> None:
         if len(data) != 24 or struct.unpack("<QQQ", data) != (24, 1, SIGNATURE):
             return
-        own = datagrams.is_own(asker[0])
+        own = is_own_address(asker[0])
         if IPv4Address(self._host).is_loopback and not own:
             return
         address = datagrams.facing(asker) if IPv4Address(self._host).is_unspecified else self._host
