@@ -182,7 +182,7 @@ def _undone(followed: Followed, T: int) -> tuple[int, int, int] | None:
             ends = np.arange(n + 1, T)
             each = np.asarray(logsumexp(null + process.log_factors(h, sums, T, np.full_like(ends, n), ends), axis=(1, 2)))
             ended[h, n, n + 1 :] = each + onsets[n - 1] - np.log(len(ends))
-    if logsumexp(ended) - logsumexp(stands) < np.log(OPTIONS.class_odds):
+    if np.logaddexp.reduce(ended.ravel()) - np.logaddexp.reduce(stands) < np.log(OPTIONS.class_odds):
         return None
     level, first, end = np.unravel_index(int(np.argmax(ended)), ended.shape)
     return int(first), int(end), int(level)
