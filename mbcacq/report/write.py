@@ -1,24 +1,25 @@
-"""The report: one self-contained HTML page with the accuracy of a calibrated cell and its causes."""
+"""Writes the pages of the report: of a result, of a run, of a check, of a diagnosis."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model.observations import Observations
+from mbcacq.report.content import Content, ReportVerdict
+from mbcacq.report.page import render, render_check, render_diagnosis
 from mbcacq.report.paper import write_pdf
-
-if TYPE_CHECKING:
-    from mbcacq.calibration.transfer import Transfer
-    from mbcacq.diagnosis.motion.combine import PosesAndMotion
-    from mbcacq.diagnosis.motion.result import MotionDiagnosis
-    from mbcacq.diagnosis.result import Diagnosis
-    from mbcacq.model.observations import Observations
-    from mbcacq.report.content import Content, ReportVerdict
-
-__all__ = ["judged", "report_from_result", "write_check_page", "write_diagnosis_page", "write_report_page"]
+from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_motion import motion_content
+from mbcacq.report.sources.from_result import content_of, spacing_of
+from mbcacq.report.verdict import beyond_expected_sentence, uncertainty_budget, verdict_of
 
 
 def report_from_result(
@@ -30,31 +31,22 @@ def report_from_result(
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'with_effects', 'devices', 'hashes'.
     Raises ConfigError for a damaged result or if the libraries for a PDF are missing, RecordingError if the file cannot be written.
     """
-    from mbcacq.report.sources.from_result import content_of
-
     return write_report_page(content_of(result, observations, run_info), path)
 
 
 def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, str, str]], str]:
     """The verdict on a result, its uncertainty budget, and a sentence on places beyond their expected uncertainty: as page one has them."""
-    from mbcacq.report.sources.from_result import spacing_of
-    from mbcacq.report.verdict import beyond_expected_sentence, uncertainty_budget, verdict_of
-
     spacing = spacing_of(result)
     return verdict_of(spacing, result), uncertainty_budget(result.get("verification")), beyond_expected_sentence(spacing)
 
 
 def write_report_page(content: Content, path: str | Path) -> Path:
     """Write a report as one page. Raises as ``report_from_result``."""
-    from mbcacq.report.page import render
-
     return _written(partial(render, content), path)
 
 
 def write_check_page(kept: Mapping[str, Any], path: str | Path) -> Path:
     """Write the page of a check, of what it left in its folder. Raises as ``report_from_result``."""
-    from mbcacq.report.page import render_check
-
     return _written(partial(render_check, kept), path)
 
 
@@ -77,9 +69,5 @@ def write_diagnosis_page(
     motion: with the poses of the same run, where there are both. checks: what was found in poses, tried on other recordings. about: robot,
     data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError if the file cannot be written.
     """
-    from mbcacq.report.page import render_diagnosis
-    from mbcacq.report.sources.from_diagnosis import diagnosis_content
-    from mbcacq.report.sources.from_motion import motion_content
-
     of_poses = None if poses is None else diagnosis_content(poses, pictures, checks)
     return write_file(path, render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about))
