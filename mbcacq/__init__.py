@@ -21,101 +21,32 @@
 Lengths are mm, angles rad, time s, mass kg inside the program; degrees appear only in YAML, CSV and on the KUKA wire.
 A transform ``T_base_flange`` takes coordinates in the flange frame to coordinates in the base frame.
 
-Names are imported when they are first used: ``import mbcacq`` alone takes a few milliseconds.
+Names are imported when they are first used: ``import mbcacq`` alone takes a few milliseconds. ``__init__.pyi`` lists them.
 """
 
 from __future__ import annotations
 
-from mbcacq.version import __version__
 
-TYPE_CHECKING = False  # type checkers take it for True; importing typing takes longer than all the rest
-if TYPE_CHECKING:
-    from mbcacq.calibration.calibrated_cell import CalibratedCell as CalibratedCell
-    from mbcacq.calibration.compare_methods import Comparison as Comparison
-    from mbcacq.calibration.verification import Verification as Verification
-    from mbcacq.design.adaptive.investigation import Budget as Budget
-    from mbcacq.design.new_plan import NewPlanOptions as NewPlanOptions
-    from mbcacq.estimation.options import CalibrationOptions as CalibrationOptions
-    from mbcacq.exports.format import Targets as Targets
-    from mbcacq.fleet.evaluate import Fleet as Fleet
-    from mbcacq.fleet.evaluate import evaluate_fleet as evaluate_fleet
-    from mbcacq.fleet.evaluation import FleetTask as FleetTask
-    from mbcacq.interim_check.check import CheckSettings as CheckSettings
-    from mbcacq.interim_check.check import InterimCheck as InterimCheck
-    from mbcacq.interim_check.check import check as check
-    from mbcacq.model.observations import Observations as Observations
-    from mbcacq.model.trajectory import Trajectory as Trajectory
-    from mbcacq.plan.planned import LoadedPlan as LoadedPlan
-    from mbcacq.workflow.calibrate import calibrate as calibrate
-    from mbcacq.workflow.calibrate import calibrate_together as calibrate_together
-    from mbcacq.workflow.calibrate import compare as compare
-    from mbcacq.workflow.calibrate import verify as verify
-    from mbcacq.workflow.calibrate import verify_elsewhere as verify_elsewhere
-    from mbcacq.workflow.collect import Sources as Sources
-    from mbcacq.workflow.collect import collect as collect
-    from mbcacq.workflow.correct import correct as correct
-    from mbcacq.workflow.diagnose import diagnose as diagnose
-    from mbcacq.workflow.diagnosis_result import DiagnosisResult as DiagnosisResult
-    from mbcacq.workflow.evaluate import RunResult as RunResult
-    from mbcacq.workflow.export import export as export
-    from mbcacq.workflow.extend import extend as extend
-    from mbcacq.workflow.investigate import investigate as investigate
-    from mbcacq.workflow.load import load_observations as load_observations
-    from mbcacq.workflow.load import load_plan as load_plan
-    from mbcacq.workflow.load import load_trajectories as load_trajectories
-    from mbcacq.workflow.new_plan import new_plan as new_plan
-    from mbcacq.workflow.next_plan import next_plan as next_plan
-    from mbcacq.workflow.next_plan import next_poses as next_poses
-    from mbcacq.workflow.report import write_report as write_report
-    from mbcacq.workflow.run import Operator as Operator
-    from mbcacq.workflow.run import run as run
-    from mbcacq.workflow.simulate import simulate as simulate
-
-_MODULES = {
-    "calibration.calibrated_cell": ("CalibratedCell",),
-    "calibration.compare_methods": ("Comparison",),
-    "calibration.verification": ("Verification",),
-    "design.new_plan": ("NewPlanOptions",),
-    "estimation.options": ("CalibrationOptions",),
-    "exports.format": ("Targets",),
-    "fleet.evaluate": ("Fleet", "evaluate_fleet"),
-    "fleet.evaluation": ("FleetTask",),
-    "interim_check.check": ("InterimCheck", "CheckSettings", "check"),
-    "model.observations": ("Observations",),
-    "model.trajectory": ("Trajectory",),
-    "plan.planned": ("LoadedPlan",),
-    "workflow.calibrate": ("calibrate", "calibrate_together", "compare", "verify", "verify_elsewhere"),
-    "workflow.collect": ("Sources", "collect"),
-    "workflow.correct": ("correct",),
-    "workflow.diagnose": ("diagnose",),
-    "workflow.diagnosis_result": ("DiagnosisResult",),
-    "workflow.evaluate": ("RunResult",),
-    "workflow.export": ("export",),
-    "design.adaptive.investigation": ("Budget",),
-    "workflow.extend": ("extend",),
-    "workflow.investigate": ("investigate",),
-    "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
-    "workflow.new_plan": ("new_plan",),
-    "workflow.next_plan": ("next_plan", "next_poses"),
-    "workflow.report": ("write_report",),
-    "workflow.run": ("Operator", "run"),
-    "workflow.simulate": ("simulate",),
-}
-_MODULE_OF = {name: f"mbcacq.{module}" for module, names in _MODULES.items() for name in names}
-__all__ = ["__version__", *_MODULE_OF]  # pyright: ignore[reportUnsupportedDunderAll]  # type checkers go by the names above
+def _module_of_each_name() -> dict[str, str]:
+    """Where the public names are defined: read from the imports that stand in ``__init__.pyi``, ``from module import name as name``."""
+    with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as file:
+        imports = [line.split() for line in file if line.startswith("from ")]
+    return {words[3]: words[1] for words in imports}
 
 
-if not TYPE_CHECKING:  # a type checker would take any name for known
+_MODULE_OF = _module_of_each_name()
+__all__ = list(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]  # type checkers go by __init__.pyi
 
-    def __getattr__(name: str) -> object:
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        import importlib
 
-        value = getattr(importlib.import_module(_MODULE_OF[name]), name)
-        globals()[name] = value
-        return value
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    value = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__} - {"TYPE_CHECKING", "annotations"})
+    return sorted({*globals(), *__all__} - {"annotations"})

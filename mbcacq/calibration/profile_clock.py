@@ -166,21 +166,13 @@ def misfit_mm(motion: FlangeMotion, seen: SeenSections, at: ProfilesInMotion) ->
     return float(np.median(np.linalg.norm(rows[known], axis=1))) if known.mean() >= 0.5 else np.inf
 
 
-@dataclass(frozen=True)
-class Passes:
-    """Stretches of ways over a sphere, each as its centre at one moment.
-
-    time_s (G,): of the sensor; xyz (G, 3) mm, in the scanner; covariance (G, 3, 3); profile (G,): index of the one of that moment.
-    """
-
-    time_s: np.ndarray
-    xyz: np.ndarray
-    covariance: np.ndarray
-    profile: np.ndarray
-
-
-def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion, group: np.ndarray) -> Passes:
+def passes_of(
+    motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion, group: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The profiles of each group (P,), a stretch of one way, together: they share what the arm is off by, as the balls of one scan do.
+
+    Each is the centre of the sphere at one moment: time (G,) s of the sensor, place (G, 3) mm in the scanner, its covariance (G, 3, 3), and
+    the index (G,) of the profile of that moment.
 
     The sphere moves in the scanner as the arm does, so all circles of a stretch say one place at its middle. What the hand-eye transform
     may still be off by cancels in it.
@@ -200,7 +192,7 @@ def passes_of(motion: FlangeMotion, seen: SeenSections, found: ProfilesInMotion,
         xyz.append(s[middle] + off)
         covariance.append(C)
         first.append(middle)
-    return Passes(np.array(time), np.array(xyz).reshape(-1, 3), np.array(covariance).reshape(-1, 3, 3), np.array(first, dtype=int))
+    return np.array(time), np.array(xyz).reshape(-1, 3), np.array(covariance).reshape(-1, 3, 3), np.array(first, dtype=int)
 
 
 def start_in_motion(motion: FlangeMotion, seen: SeenSections) -> ProfilesInMotion:

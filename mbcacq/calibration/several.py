@@ -20,10 +20,11 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.learnt_range import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate, build
-from mbcacq.estimation.several_recordings import BetweenRecordings, JointProblem, joint_problem
+from mbcacq.estimation.several_recordings import BetweenRecordings, joint_problem
 from mbcacq.estimation.solution import system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.json_text import Number, fields_as_json
@@ -58,25 +59,31 @@ def calibrate_together(
         assert effects is not None, "there are some"
         refuse_effects_of_other_arm(one, effects, f"recording {number}")
     try:
-        problem = joint_problem(recordings, options)
-        return _together(problem, options, effects, hold)
+        return _together(*joint_problem(recordings, options), options, effects, hold)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(f"the recordings contradict each other so much that no arm fits them ({error})") from error
 
 
-def _together(problem: JointProblem, options: CalibrationOptions, effects: EffectModel | None, hold: bool) -> tuple[CalibratedCell, ...]:
-    together, several = problem.observations, len(problem.parts) > 1
+def _together(
+    together: Observations,
+    start: CellState,
+    parts: Sequence[Adjustment],
+    options: CalibrationOptions,
+    effects: EffectModel | None,
+    hold: bool,
+) -> tuple[CalibratedCell, ...]:
+    """start: the state from which all are adjusted; parts: each recording by itself, as it was fitted alone."""
     found: list[DayToDay] = []
 
     def fit(obs: Observations, asked: CalibrationOptions) -> CalibratedCell:
         """All recordings with the terms of some options, whose coefficients may differ from day to day."""
-        whole = _fitted(problem, asked)
-        if effects is None or not asked.terms or not several:
+        whole = _fitted(together, replace(asked, start=start))
+        if effects is None or not asked.terms or len(parts) < 2:
             return whole
         found[:] = day_to_day(whole, effects.parametric)
         between = {d.parameter: d.between_std for d in found if d.between_std > 0}
         own = deviations(whole, between)
-        return _fitted(problem, replace(asked, terms=(*asked.terms, *own))) if own else whole
+        return _fitted(together, replace(asked, start=start, terms=(*asked.terms, *own))) if own else whole
 
     if effects is None:
         whole = fit(together, options)
@@ -92,14 +99,12 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
         if not hold and whole.effects is not None:
             whole = replace(whole, effects=with_estimates(whole.effects, whole))
         whole = replace(whole, extra={**whole.extra, "day_to_day": [fields_as_json(d) for d in found]})
-    each = shares(whole, problem.parts, options)
+    each = shares(whole, parts, options)
     refuse_unusable(each[0])
     return each
 
 
-def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCell:
-    obs = problem.observations
-    options = replace(options, start=problem.start)
+def _fitted(obs: Observations, options: CalibrationOptions) -> CalibratedCell:
     fitted = adjust(obs, options, links_follow=options.kinematics)
     fitted = with_random_links(fitted) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)

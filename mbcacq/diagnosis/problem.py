@@ -125,9 +125,8 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
         obs, parts = select_phases(recordings, options), ()
         adjusted = adjust_recording(obs, options)
     else:
-        together = joint_problem(recordings, options)
-        obs, parts = together.observations, together.parts
-        adjusted = adjust(obs, replace(options, start=together.start))
+        obs, start, parts = joint_problem(recordings, options)
+        adjusted = adjust(obs, replace(options, start=start))
     fit, whole = adjusted_fit(options, adjusted)
     each = [share_of(fit, whole, parts, r, options) for r in range(len(parts))] or [(fit, whole)]
     problem = problem_of(obs, options, adjusted)

@@ -30,17 +30,11 @@ BALL_STEP = 1000  # certificate numbers of the second recording begin here, thos
 OF_ONE = re.compile(r"hand_eye\[\d+\]|@\d+")  # in names that stand in the common problem only
 
 
-@dataclass(frozen=True)
-class JointProblem:
-    """Several recordings as one. parts: each by itself, as it was fitted alone; start: the state from which all are adjusted together."""
-
-    observations: Observations
-    parts: tuple[Adjustment, ...]
-    start: CellState
-
-
-def joint_problem(recordings: Sequence[Observations], options: CalibrationOptions) -> JointProblem:
-    """Every recording adjusted alone, for its tool, stations, outliers and noise, and all of them as one set of observations.
+def joint_problem(
+    recordings: Sequence[Observations], options: CalibrationOptions
+) -> tuple[Observations, CellState, tuple[Adjustment, ...]]:
+    """All recordings as one set of observations, the state from which they are adjusted together, and every recording adjusted alone, for
+    its tool, stations, outliers and noise.
 
     Raises ConfigError where they are not of one arm, CalibrationError where one contradicts its cell.
     """
@@ -49,7 +43,7 @@ def joint_problem(recordings: Sequence[Observations], options: CalibrationOption
     hold = tuple(name for name in options.hold if not OF_ONE.search(name))
     alone = replace(options, refuse=False, terms=(), hold=hold)
     parts = tuple(adjust_recording(select_phases(one, options), alone) for one in recordings)
-    return JointProblem(combined([part.lineariser.obs for part in parts], parts), parts, combined_state(parts))
+    return combined([part.lineariser.obs for part in parts], parts), combined_state(parts), parts
 
 
 def combined(recordings: Sequence[Observations], parts: Sequence[Adjustment]) -> Observations:

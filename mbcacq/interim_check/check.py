@@ -38,7 +38,7 @@ from mbcacq.workflow.corrected_targets import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides
 from mbcacq.workflow.load import as_plan, as_result, is_run_folder, load_observations
 from mbcacq.workflow.part_scenes import scenes_as_observations
-from mbcacq.workflow.run import Operator
+from mbcacq.workflow.run import Operator, allowed_acquisition
 
 HISTORY = "check.json"
 SAME_ANGLE = 1e-9  # rad: the plan still means the same joint angles
@@ -314,7 +314,7 @@ def _measure(
     if dry_run:  # the same cell on another day: what differs from run to run is drawn anew
         options = {"noise_seed": 1_000_003 * (len(past.days) + 1) + seed, **loaded.plan.fake}
         loaded = replace(loaded, plan=loaded.plan.model_copy(update={"fake": options}))
-    acquisition = operator.allowed(loaded, poses, frozenset(), 0, dry_run, seed)
+    acquisition = allowed_acquisition(operator, loaded, poses, frozenset(), 0, dry_run, seed)
     acquisition.kind = RunKind.CHECK
     with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
         folder = acquisition.folder = new_run_folder(out, f"check-{Path(past.plan).stem}")  # one cell, whatever a later plan is called

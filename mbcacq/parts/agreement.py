@@ -14,7 +14,7 @@ from mbcacq.parts.overlap import SurfaceCells, surface_cells
 from mbcacq.parts.placement import CellPlacement
 from mbcacq.parts.scans import PartScan, ScanSurface
 from mbcacq.parts.scene import brought_together, cell_edge
-from mbcacq.parts.step import RigidStep, SmoothNoise, rigid_step
+from mbcacq.parts.step import RigidStep, SmoothNoise, in_words, motions, rigid_step
 
 CLEAR = 2.0  # times what is expected: so much disagreement needs an explanation
 
@@ -67,6 +67,7 @@ class Agreement:
     pairs: tuple[PairOfScans, ...]
     noise: SmoothNoise
     scatter_mm: float
+    undetermined: tuple[str, ...] = ()  # motions of scans that no overlap shows, in words
     alone: tuple[int, ...] = ()  # poses whose scans overlap with no other
 
     def rms_mm(self, name: str) -> float:
@@ -89,6 +90,8 @@ class Agreement:
             f"the scans of this part agree within {self.rms_mm(self.names[-1]):.3f} mm (3D rms of {len(self.pairs)} overlaps; expected "
             f"{self.expected_mm:.3f}); before calibration {before:.2f}"
         )
+        if self.undetermined:
+            text += f"; no overlap determines the motions {', '.join(self.undetermined)}"
         if self.ratio > CLEAR:
             text += "; that is more than the calibration explains: the part, the mount or the arm moved, or an effect is missing"
         return text
@@ -102,6 +105,7 @@ class Agreement:
             "smooth_noise_mm": self.noise.sigma_mm / np.sqrt(2),
             "smooth_noise_length_mm": self.noise.length_mm,
             "scatter_mm": self.scatter_mm,
+            "undetermined": list(self.undetermined),
             "alone": list(self.alone),
             "pairs": [pair.to_dict() for pair in self.pairs],
         }
@@ -127,7 +131,9 @@ def agreement(scans: Sequence[ScanSurface], placements: Sequence[CellPlacement],
     # Where the part is smooth, the scatter is the scanner's own.
     scatter = float(np.quantile(np.concatenate([pair.step.cells.scatter for pair in found]), 0.25))
     alone = tuple(scan.number for scan in scans if scan.number not in used)
-    return Agreement(tuple(p.name for p in placements), tuple(found), noise, scatter, alone)
+    centre, scale, _, _, not_shown = motions(cells.point, cells.normal, options)
+    not_shown = tuple(in_words(not_shown, scale, centre))
+    return Agreement(tuple(p.name for p in placements), tuple(found), noise, scatter, not_shown, alone)
 
 
 def offsets(scans: Sequence[ScanSurface], placement: CellPlacement, times: float, options: PartOptions) -> np.ndarray:

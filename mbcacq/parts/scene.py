@@ -18,9 +18,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import SurfaceCells, surface_cells
-from mbcacq.parts.placement import rigid_columns
 from mbcacq.parts.scans import ScanSurface, spacing, thinned
-from mbcacq.parts.step import SmoothNoise, smooth_noise
+from mbcacq.parts.step import SmoothNoise, motions, smooth_noise
 
 PLAIN = SmoothNoise(0.0, 1.0)
 # Share of the largest information below which a motion of several scans is not determined: of thirty scans in a row. With coarse cells,
@@ -196,12 +195,7 @@ def _motions(cells: SurfaceCells, count: int, noise: SmoothNoise, options: PartO
         here = np.flatnonzero(cells.scan == i)
         at = cells.cell[here]
         weight = np.linalg.inv(noise.covariance_of(cells.point[at], cells.variance[here]))
-        middle = cells.point[at].mean(axis=0)
-        arms = cells.point[at] - middle
-        scale = np.repeat([1.0, float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))], 3)
-        J = np.einsum("kc,kci->ki", cells.normal[at], rigid_columns(arms)) / scale
-        values, vectors = np.linalg.eigh(J.T @ J / len(J))
-        shown = vectors[:, values > options.slope**2]
+        middle, scale, J, shown, not_shown = motions(cells.point[at], cells.normal[at], options)
         A = J @ shown
         heights[np.ix_(at, at)] += weight
         side[at] += weight @ cells.height[here]
@@ -213,7 +207,7 @@ def _motions(cells: SurfaceCells, count: int, noise: SmoothNoise, options: PartO
         columns.append((here, at, A))
         centre.append(middle)
         directions.append(shown / scale[:, None])
-        open_.append(vectors[:, values <= options.slope**2] / scale[:, None])
+        open_.append(not_shown / scale[:, None])
     first = np.cumsum([0, *(d.shape[1] for d in directions)])
     inside = [slice(a, b) for a, b in zip(first[:-1], first[1:], strict=True)]
     mixed = np.concatenate(beside)

@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import Overlap
@@ -43,7 +45,10 @@ class SmoothNoise:
 
     def covariance_of(self, points: np.ndarray, variance: np.ndarray) -> np.ndarray:
         """(c, c) mm^2 of heights at points (c, 3) mm, whose own variance (c,) is known."""
-        square = np.sum((points[:, None] - points) ** 2, axis=2)
+        return self.by_distance(cdist(points, points, "sqeuclidean"), variance)
+
+    def by_distance(self, square: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """(c, c) mm^2 of heights whose points are apart by the roots of ``square`` (c, c) mm^2."""
         return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + self.share * np.diag(variance)
 
 
@@ -104,9 +109,7 @@ class RigidStep:
     @property
     def undetermined(self) -> list[str]:
         """The motions that the overlap does not determine, in words."""
-        if self.determined.shape[1] == 6:
-            return []
-        return [_in_words(v / self.scaled, self.centre) for v in np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :].T]
+        return in_words(np.linalg.svd(self.determined)[0][:, self.determined.shape[1] :], self.scaled, self.centre)
 
 
 def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
@@ -127,34 +130,46 @@ def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Rigi
 
 
 def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
-    centre = cells.point.mean(axis=0)
-    radius = float(np.sqrt(np.mean(np.sum((cells.point - centre) ** 2, axis=1))))
-    scale = np.repeat([1.0, radius], 3)
-    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(cells.point - centre)) / scale
-    values, vectors = np.linalg.eigh(J.T @ J / len(J))
-    determined = vectors[:, values > options.slope**2]
+    centre, scale, J, determined, _ = motions(cells.point, cells.normal, options)
     whitened = np.linalg.cholesky(noise.covariance(cells))
-    A, r = (np.linalg.solve(whitened, side) for side in (J @ determined, cells.distance))
+    A, r = (solve_triangular(whitened, side, lower=True) for side in (J @ determined, cells.distance))
     covariance, D = np.linalg.inv(A.T @ A), determined / scale[:, None]
     twist, covariance = D @ covariance @ (A.T @ r), D @ covariance @ D.T
-    return RigidStep(twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=radius, cells=cells, left_out=0)
+    return RigidStep(
+        twist=twist, covariance=covariance, centre=centre, determined=determined, radius_mm=float(scale[3]), cells=cells, left_out=0
+    )
+
+
+def motions(points: np.ndarray, normals: np.ndarray, options: PartOptions) -> tuple[np.ndarray, ...]:
+    """The rigid motions of a surface about its middle: which of them show themselves in distances along its normals.
+
+    Returns the middle (3,) mm, factors (6,) that turn a twist into mm, the columns (c, 6) of the distances by twists in mm, and
+    orthonormal directions (6, r) and (6, 6 - r) of these that are determined and that are not.
+    """
+    centre = points.mean(axis=0)
+    arms = points - centre
+    scale = np.repeat([1.0, float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))], 3)
+    J = np.einsum("kc,kci->ki", normals, rigid_columns(arms)) / scale
+    values, vectors = np.linalg.eigh(J.T @ J / len(J))
+    return centre, scale, J, vectors[:, values > options.slope**2], vectors[:, values <= options.slope**2]
 
 
 def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoise:
     """The smooth noise of the scanner from overlaps whose scans are nearly in place."""
     rng = np.random.default_rng(0)
     chosen = [overlaps[k] for k in np.unique(np.linspace(0, len(overlaps) - 1, OVERLAPS_FOR_NOISE).astype(int))]
-    plain = SmoothNoise(0.0, 1.0)
     some = []
     for cells in chosen:
-        kept = rigid_step(cells, plain, options).cells
+        kept = rigid_step(cells, SmoothNoise(0.0, 1.0), options).cells
         some.append(kept.some(rng.permutation(len(kept))[:MOST_FOR_NOISE]))
     spans = [float(np.ptp(cells.point, axis=0).max()) for cells in some]
-    shortest = float(np.median([np.sqrt(np.min(_squares(cells), axis=1)).mean() for cells in some]))
+    squares = [cdist(cells.point, cells.point, "sqeuclidean") for cells in some]
+    shortest = float(np.median([np.sqrt(np.partition(square, 1)[:, 1]).mean() for square in squares]))
+    sides = [np.c_[motions(cells.point, cells.normal, options)[2], cells.distance] for cells in some]
 
     def cost(at: np.ndarray) -> float:
         noise = SmoothNoise(*np.exp(at).tolist())
-        return sum(_restricted_cost(cells, noise) for cells in some)
+        return sum(_restricted_cost(noise.by_distance(d, o.variance), b) for d, o, b in zip(squares, some, sides, strict=True))
 
     sigma = np.sqrt(np.median([np.median(cells.variance) for cells in some]))
     low, high = np.log([0.01 * sigma, 0.5 * shortest, 0.05]), np.log([30 * sigma, 0.5 * float(np.median(spans)), 2.0])
@@ -164,28 +179,29 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     return SmoothNoise(*np.exp(found.x).tolist())
 
 
-def _squares(cells: Overlap) -> np.ndarray:
-    away = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
-    return away + np.diag(np.full(len(cells), np.inf))
+def _restricted_cost(covariance: np.ndarray, sides: np.ndarray) -> float:
+    """-2 times the restricted log likelihood of an overlap's distances, but for a constant.
 
-
-def _restricted_cost(cells: Overlap, noise: SmoothNoise) -> float:
-    """-2 times the restricted log likelihood of an overlap's distances, but for a constant."""
-    arms = cells.point - cells.point.mean(axis=0)
-    radius = np.sqrt(np.mean(np.sum(arms**2, axis=1)))
-    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(arms)) / np.repeat([1.0, radius], 3)
-    L = np.linalg.cholesky(noise.covariance(cells))
-    A, r = (np.linalg.solve(L, side) for side in (J, cells.distance))
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    r = r - U @ (U.T @ r)
+    covariance: (c, c) of the distances. sides: (c, 7) their columns by rigid motions, and they themselves.
+    """
+    L = np.linalg.cholesky(covariance)
+    white = solve_triangular(L, sides, lower=True, check_finite=False)
+    U, s, _ = np.linalg.svd(white[:, :6], full_matrices=False)
+    r = white[:, 6] - U @ (U.T @ white[:, 6])
     return float(2 * np.log(np.diag(L)).sum() + 2 * np.log(s).sum() + r @ r)
 
 
-def _in_words(twist: np.ndarray, centre: np.ndarray) -> str:
+def in_words(directions: np.ndarray, scale: np.ndarray, centre: np.ndarray) -> list[str]:
+    """Motions of a surface in words, turns before shifts: orthonormal directions (6, r), each to be divided by factors (6,)."""
+    turning = np.linalg.svd(directions[3:])[2]
+    return [_one_in_words(v / scale, centre) for v in turning @ directions.T]
+
+
+def _one_in_words(twist: np.ndarray, centre: np.ndarray) -> str:
     """A motion that leaves a surface on itself: a shift along a direction, or a turn about an axis through a point, base frame."""
     shift, turn = twist[:3], twist[3:]
     angle = float(np.linalg.norm(turn))
     if angle * 1e3 < float(np.linalg.norm(shift)):  # the axis is more than 1 m away: nearly a shift
-        return "along ({:.2f}, {:.2f}, {:.2f})".format(*shift / np.linalg.norm(shift))
+        return "along ({:z.2f}, {:z.2f}, {:z.2f})".format(*shift / np.linalg.norm(shift))
     at = centre + np.cross(turn, shift) / angle**2
-    return "about ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*turn / angle, *at)
+    return "about ({:z.2f}, {:z.2f}, {:z.2f}) through ({:z.0f}, {:z.0f}, {:z.0f}) mm".format(*turn / angle, *at)

@@ -34,7 +34,7 @@ from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
-from mbcacq.workflow.run import Operator
+from mbcacq.workflow.run import Operator, allowed_acquisition
 
 if TYPE_CHECKING:
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
@@ -128,7 +128,7 @@ class CellInvestigation:
         # A fake cell measures the whole of an interrupted visit once more: it does again what it would have done.
         done = settled if self.dry_run else before.done | settled
         if any(p.number not in done for p in poses):
-            acquisition = operator.allowed(grown, poses, done, before.part, self.dry_run, self.seed)
+            acquisition = allowed_acquisition(operator, grown, poses, done, before.part, self.dry_run, self.seed)
             acquisition.folder, acquisition.kind = self.folder, RunKind.INVESTIGATION
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None

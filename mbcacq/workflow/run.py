@@ -95,39 +95,22 @@ class Operator:
                 raise
             raise ConfigError(f"{error}; the plan's robot is on this computer, a fake: --dry-run takes the whole fake cell") from error
 
-    def allowed(
-        self, loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, dry_run: bool, seed: int
-    ) -> Acquisition:
-        """The checked path to the poses that remain, once a real arm may move along it.
 
-        Parameters
-        ----------
-        loaded
-            The plan.
-        poses
-            All poses of the run.
-        done
-            Numbers of the poses that were measured before.
-        part
-            Number of the part of the recording, from 0.
-        dry_run
-            Whether the cell is the fake one.
-        seed
-            Of the fake cell.
+def allowed_acquisition(
+    operator: Operator, loaded: LoadedPlan, poses: Sequence[PlannedPose], done: frozenset[int], part: int, dry_run: bool, seed: int
+) -> Acquisition:
+    """The checked path to the poses that remain, once a real arm may move along it. seed: of the fake cell in a dry run.
 
-        Returns
-        -------
-        Acquisition
-            Not begun yet.
-        """
-        self.progress("checking every motion between the poses")
-        acquisition = plan_acquisition(loaded, poses, done, part, name_of(dry_run, seed))
-        acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
-        self.progress("")
-        if not dry_run:
-            self.allow(acquisition)
-        self.progress("starting the fake cell" if dry_run else "")
-        return acquisition
+    Raises what ``plan_acquisition`` and ``allow`` raise.
+    """
+    operator.progress("checking every motion between the poses")
+    acquisition = plan_acquisition(loaded, poses, done, part, name_of(dry_run, seed))
+    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
+    operator.progress("")
+    if not dry_run:
+        operator.allow(acquisition)
+    operator.progress("starting the fake cell" if dry_run else "")
+    return acquisition
 
 
 def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
@@ -208,7 +191,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         if folder is not None and all(pose.number in done for pose in poses):
             operator.message(f"all {len(poses)} poses were measured already; nothing moves")
             return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
-        acquisition = operator.allowed(loaded, poses, done, before.part, dry_run, seed)
+        acquisition = allowed_acquisition(operator, loaded, poses, done, before.part, dry_run, seed)
         acquisition.corrected, acquisition.kind = targets, _kind(loaded, folder)
         try:
             known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done and folder is not None else None

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.evidence.between_sets import WeightedSet, alternatives_to, averaged, by_effect, is_changed
+from mbcacq.diagnosis.evidence.between_sets import alternatives_to, averaged, by_effect, is_changed
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.search.bayes_factor import log_set_bayes_factor, over_sizes
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -22,8 +22,8 @@ def stated(value, std):
 
 def test_the_average_over_sets_has_the_moments_of_their_mixture():
     each = [(0.05, 0.2, 0.02), (0.9, 0.55, 0.1), (0.4, 0.5, 0.15)]
-    sets = [WeightedSet(p, stated(value, std)) for p, value, std in each]
-    (found,) = averaged(LABEL, sets[0].stated[LABEL], sets[0].stated, sets).values()
+    sets = [(p, stated(value, std)) for p, value, std in each]
+    (found,) = averaged(LABEL, sets[0][1][LABEL], sets[0][1], sets).values()
     rng = np.random.default_rng(0)
     share = np.array([p for p, *_ in each]) / sum(p for p, *_ in each)
     drawn = rng.choice(3, 400_000, p=share)
@@ -33,13 +33,13 @@ def test_the_average_over_sets_has_the_moments_of_their_mixture():
 
 
 def test_sets_without_the_effect_say_nothing_of_it():
-    sets = [WeightedSet(1.0, stated(0.2, 0.02)), WeightedSet(1.0, {"base_compliance:base": {"compliance": ParameterEstimate(9.0, 1.0)}})]
-    assert averaged(LABEL, sets[0].stated[LABEL], sets[0].stated, sets)[KEY] == ParameterEstimate(0.2, 0.02)
+    sets = [(1.0, stated(0.2, 0.02)), (1.0, {"base_compliance:base": {"compliance": ParameterEstimate(9.0, 1.0)}})]
+    assert averaged(LABEL, sets[0][1][LABEL], sets[0][1], sets)[KEY] == ParameterEstimate(0.2, 0.02)
 
 
 def test_an_angle_is_averaged_the_shorter_way_round():
     own, other = ({LABEL: {"A1.phase_deg": ParameterEstimate(v, 1.0)}} for v in (179.0, -179.0))
-    (found,) = averaged(LABEL, own[LABEL], own, [WeightedSet(1.0, own), WeightedSet(1.0, other)]).values()
+    (found,) = averaged(LABEL, own[LABEL], own, [(1.0, own), (1.0, other)]).values()
     assert found.value == pytest.approx(180.0)
     assert found.std < 2.0
 
@@ -51,7 +51,7 @@ def test_orders_of_a_gear_are_averaged_each_with_itself_however_a_set_lists_them
         {label: {"A1.order": ParameterEstimate(order, (0.1, 0.1)), "A1.amplitude_deg": ParameterEstimate(size, (1e-4, 1e-4))}}
         for order, size in ((orders, (0.004, 0.003)), (turned, (0.003, 0.004)))
     )
-    found = averaged(label, own[label], own, [WeightedSet(1.0, own), WeightedSet(0.5, other)])
+    found = averaged(label, own[label], own, [(1.0, own), (0.5, other)])
     assert found["A1.order"].value == pytest.approx(orders)
     assert found["A1.order"].std == pytest.approx((0.1, 0.1))
     assert found["A1.amplitude_deg"].value == pytest.approx((0.004, 0.003))
@@ -69,7 +69,7 @@ def gear(*orders):
 def test_an_order_is_averaged_over_the_sets_that_have_it_and_another_order_is_another_effect(other):
     label = "gear_transmission_error:A1"
     own, sets = gear(2.0, 100.0), gear(*other)
-    found = averaged(label, own[label], own, [WeightedSet(1.0, own), WeightedSet(1.0, sets)])
+    found = averaged(label, own[label], own, [(1.0, own), (1.0, sets)])
     assert found["A1.order"].value == pytest.approx((2.0, 100.05))
     assert found["A1.amplitude_deg"].value == pytest.approx((0.002, 0.10005))
     assert found["A1.amplitude_deg"].std == pytest.approx((1e-4, np.hypot(1e-4, 0.5e-4)))
@@ -90,11 +90,11 @@ def test_what_grows_per_kelvin_of_the_arm_is_not_averaged_with_what_grows_per_ke
     label, key = "thermal_growth:link2", "link2.growth_mm_per_K"
     arm, air = growth("robot_C", 0.003), growth("air_C", 0.021)
     reported = {key: ParameterEstimate(0.003, 1e-4)}
-    alone = averaged(label, reported, arm, [WeightedSet(1.0, arm), WeightedSet(0.5, air)])
+    alone = averaged(label, reported, arm, [(1.0, arm), (0.5, air)])
     assert alone[key].value == pytest.approx(0.003)
     assert alone[key].std == pytest.approx(1e-4)
     assert not any(is_changed(arm[label], other[label]) for other in (arm, air))
-    both = averaged(label, reported, arm, [WeightedSet(1.0, arm), WeightedSet(1.0, growth("robot_C", 0.005))])
+    both = averaged(label, reported, arm, [(1.0, arm), (1.0, growth("robot_C", 0.005))])
     assert both[key].value == pytest.approx(0.004)
 
 
@@ -106,7 +106,7 @@ def test_what_a_payload_states_of_a_compliance_is_averaged_with_what_the_joint_s
     member = SimpleNamespace(candidate=candidate, hyper=None, label="payload:mount")
     heavy = by_effect(EffectSet((member,), np.array([4.0e-6]), np.array([[1e-14]])))
     alone = {label: {key: ParameterEstimate(4.6e-6, 5e-8)}}
-    found = averaged(label, alone[label], alone, [WeightedSet(0.1, alone), WeightedSet(0.9, heavy)])[key]
+    found = averaged(label, alone[label], alone, [(0.1, alone), (0.9, heavy)])[key]
     assert found.value == pytest.approx(4.06e-6)
     assert found.std == pytest.approx(np.sqrt(0.1 * 0.05**2 + 0.9 * 0.1**2 + 0.09 * 0.6**2) * 1e-6, rel=0.01)
 

@@ -10,7 +10,7 @@ from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.beam_search import EvidenceFit
-from mbcacq.diagnosis.evidence.between_sets import BetweenSets, WeightedSet
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.problem import prepare
@@ -132,8 +132,8 @@ def test_a_payload_that_is_not_excluded_and_changes_a_compliance_leaves_it_open(
     key = "A3.compliance_rad_per_Nm"
 
     def changing(beside):
-        sets = [WeightedSet(1.0, {"joint_compliance:A3": {key: ParameterEstimate(value, 5e-8)}}) for value in (beside, 4.6e-6)]
-        return [changed for _, changed in BetweenSets(likely, tuple(sets), 1, sets[1].stated).changing()]
+        sets = [(1.0, {"joint_compliance:A3": {key: ParameterEstimate(value, 5e-8)}}) for value in (beside, 4.6e-6)]
+        return [changed for _, changed in BetweenSets(likely, tuple(sets), 1, sets[1][1]).changing()]
 
     assert reported_hypothesis(fit) is likely[1]
     assert changing(4.0e-6) == [frozenset({"joint_compliance:A3"})]

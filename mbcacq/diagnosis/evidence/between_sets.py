@@ -26,20 +26,13 @@ from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.quantities import K
 
 ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
+WeightedSet = tuple[float, ByEffect]  # relative probability of a set of effects, and what it states of each
 TURN = 360.0
 BY = " by "  # between the name of a parameter per kelvin and its temperature
 GENERAL = 1.0  # log odds from which a general function predicts better than names: less is chance
 ALIKE = 0.99  # correlation from which it is the same function as they are
 ORDERS = ".order"  # end of the name of the parameter that tells several effects of one kind at a joint apart
 ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
-
-
-@dataclass(frozen=True)
-class WeightedSet:
-    """A set of effects with its relative probability and what it states of each effect."""
-
-    probability: float
-    stated: ByEffect
 
 
 @dataclass(frozen=True)
@@ -60,7 +53,7 @@ class BetweenSets:
         reported = reported_hypothesis(fit) if fit.significant else fit.none
         best = max(fit.hypotheses[0].log_posterior, reported.log_posterior)
         likely = [h for h in fit.hypotheses if h is reported or h.log_posterior > best + np.log(OPTIONS.undecided)]
-        sets = tuple(WeightedSet(float(np.exp(h.log_posterior - best)), by_effect(coefficients_over_sizes(h))) for h in likely)
+        sets = tuple((float(np.exp(h.log_posterior - best)), by_effect(coefficients_over_sizes(h))) for h in likely)
         return cls(tuple(likely), sets, next(i for i, h in enumerate(likely) if h is reported), by_effect(reported.solved))
 
     def averaged(self, labels: Iterable[str], parameters: Parameters) -> Parameters:
@@ -77,13 +70,13 @@ class BetweenSets:
         """Sets with further effects, beside which reported ones (``name:where``) differ beyond their uncertainty; of sets that contain each
         other, the smallest.
         """
-        reported, own = self.hypotheses[self.reported], self.sets[self.reported].stated
+        reported, (_, own) = self.hypotheses[self.reported], self.sets[self.reported]
         found: list[tuple[Hypothesis, frozenset[str]]] = []
-        for h, one in sorted(zip(self.hypotheses, self.sets, strict=True), key=lambda pair: len(pair[0].labels)):
+        for h, (_, stated) in sorted(zip(self.hypotheses, self.sets, strict=True), key=lambda pair: len(pair[0].labels)):
             further = h.labels > reported.labels or (is_coupled(h) and not is_coupled(reported) and is_part(reported, h))
             if not further or any(other.labels <= h.labels for other, _ in found):
                 continue
-            changed = frozenset(label for label in own if label in one.stated and is_changed(own[label], one.stated[label]))
+            changed = frozenset(label for label in own if label in stated and is_changed(own[label], stated[label]))
             if changed:
                 found.append((h, changed))
         return sorted(found, key=lambda one: -one[0].log_posterior)
@@ -198,11 +191,11 @@ def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Seque
     and add to their variance, by what they differ from these.
     """
     own = reported.get(label, {})
-    matched = [(one, orders_matched(one.stated.get(label, {}), own)) for one in sets]
+    matched = [(probability, orders_matched(stated.get(label, {}), own)) for probability, stated in sets]
     out: dict[str, ParameterEstimate] = {}
     for stated_as in own:
         key = stated_as.partition(BY)[0]
-        each = [(one.probability, stated[stated_as]) for one, stated in matched if stated_as in stated]
+        each = [(probability, stated[stated_as]) for probability, stated in matched if stated_as in stated]
         each = [(p, e) for p, e in each if alike(e, own[stated_as])]
         if key not in parameters or not each or not alike(parameters[key], own[stated_as]):
             continue

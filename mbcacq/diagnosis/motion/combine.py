@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged
+from mbcacq.diagnosis.evidence.between_sets import averaged
 from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, ComparedSet, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
 from mbcacq.diagnosis.motion.joint_sets import (
     DecidedPair,
@@ -271,7 +271,7 @@ def over_joint_sets(one: ComparedSet, evidence: EvidenceSummary, joint: Sequence
     parts = [(s.log_odds, evidence.part_of(s.effects)) for s in joint if s.log_odds > np.log(OPTIONS.undecided)]
     each = [(log, {e.label: e.parameters for e in part.effects}) for log, part in parts if part is not None]
     own = {e.label: e.parameters for e in one.effects}
-    sets = [WeightedSet(float(np.exp(log)), stated) for log, stated in each]
+    sets = [(float(np.exp(log)), stated) for log, stated in each]
     return tuple(replace(e, parameters={**e.parameters, **averaged(e.label, e.parameters, own, sets)}) for e in one.effects)
 
 

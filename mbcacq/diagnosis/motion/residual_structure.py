@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc, stdtr
@@ -16,15 +16,8 @@ from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 FEWEST_BINS = 3  # a table of fewer has no shape
 
 
-@dataclass(frozen=True)
-class Dependence:
-    """How a residual depends on one covariate. share: of its mean square, predicted on held-out data; x, y: bins and their means."""
-
-    covariate: str
-    share: float
-    p_value: float
-    x: tuple[float, ...]
-    y: tuple[float, ...]
+# How a residual depends on one covariate: share of its mean square, predicted on held-out data, its name, p-value, bins and their means.
+Dependence = tuple[float, str, float, ResponseShape]
 
 
 def unnamed_effect(where: tuple[str, ...], on: str, p_value: float, gain: float, channel: str, shape: ResponseShape | None) -> EffectFound:
@@ -48,14 +41,13 @@ def residual_structure(
         return None, None
     best = _strongest(_covariates(fit.group, runs, fit.group.joints[j]), used, residual)
     axis, channel = fit.group.axes[fit.group.joints[j]], fit.group.name
-    if best is None or best.share < NUMBERS.least_residual_share:
+    if best is None or best[0] < NUMBERS.least_residual_share:
         segments = NUMBERS.residual_segments
         p_value = float(chdtrc(segments, segments * mean_square / floor**2))
         return MismatchEntry(axis, "time", weight, p_value, channel=channel), None
-    share = best.share * weight
-    shape = ResponseShape(best.x, best.y)
-    effect = unnamed_effect((axis,), best.covariate, best.p_value, share, channel, shape)
-    return MismatchEntry(axis, best.covariate, share, best.p_value, channel=channel), effect
+    share, covariate, p_value, shape = best
+    effect = unnamed_effect((axis,), covariate, p_value, share * weight, channel, shape)
+    return MismatchEntry(axis, covariate, share * weight, p_value, channel=channel), effect
 
 
 def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray]) -> Dependence | None:
@@ -63,7 +55,7 @@ def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], 
     best = None
     for name, values in covariates.items():
         found = _dependence(name, [v[u] for v, u in zip(values, used, strict=True)], residual, len(covariates))
-        if found is not None and found.share > (0.0 if best is None else best.share):
+        if found is not None and found[0] > (0.0 if best is None else best[0]):
             best = found
     return best
 
@@ -96,7 +88,7 @@ def _dependence(name: str, values: list[np.ndarray], residual: list[np.ndarray],
     share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
     p = min(improvement_p_value(before, after) * covariates, 1.0)
     centres = 0.5 * (edges[1:] + edges[:-1])
-    return Dependence(name, share, p, tuple(centres.tolist()), tuple(_means(bins, r, number).tolist()))
+    return share, name, p, ResponseShape(tuple(centres.tolist()), tuple(_means(bins, r, number).tolist()))
 
 
 def _halves(values: list[np.ndarray]) -> np.ndarray:

@@ -129,9 +129,9 @@ def _assembled(
     measured: Observations, found: ProfilesInMotion, motion: FlangeMotion, seen: SeenSections, swept: SweptBalls, at_pose: np.ndarray
 ) -> Observations:
     """A pose for each way of a sweep: what the arm is off by is the same all along it, and differs from the way back."""
-    ways = passes_of(motion, seen, found, 2 * swept.sweep + (found.passing[:, 1] > 0))
-    t, of = found.clock.controller_time(ways.time_s), at_pose[ways.profile]
-    count, T, part = len(t), found.T_hand_eye, np.rint(ways.time_s / PART_S)
+    time_s, xyz, covariance, profile = passes_of(motion, seen, found, 2 * swept.sweep + (found.passing[:, 1] > 0))
+    t, of = found.clock.controller_time(time_s), at_pose[profile]
+    count, T, part = len(t), found.T_hand_eye, np.rint(time_s / PART_S)
     velocity = motion.at(t)[1]
     return Observations(
         cell=replace(measured.cell, T_flange_scanner=T),
@@ -141,12 +141,12 @@ def _assembled(
         q=motion.coordinates(t),
         direction=np.sign(motion.coordinates(t + 0.01) - motion.coordinates(t - 0.01)).astype(int),
         pose=np.arange(count),
-        ball=swept.ball[ways.profile],
-        xyz=ways.xyz,
+        ball=swept.ball[profile],
+        xyz=xyz,
         time_s=t - part * PART_S,
-        sensor_time_s=ways.time_s - part * PART_S,
+        sensor_time_s=time_s - part * PART_S,
         flange_velocity=velocity,
-        covariance=ways.covariance,
+        covariance=covariance,
         temperatures={name: values[of] for name, values in measured.temperatures.items()},
         cell_yaml=measured.cell_yaml,
     )
