@@ -69,7 +69,7 @@ def with_effect(drawn: CandidateScoring, candidate: Candidate, hyper: float | No
     """The recording had it that effect."""
     r0 = drawn.r0 + drawn.block(candidate, hyper) @ coefficients
     unchanged = {key: value for key, value in drawn.known.items() if key == "noise" or key[0] == "independent"}  # what no residual changes
-    return replace(drawn, r0=r0, r=r0 - drawn.Q @ (drawn.Q.T @ r0), known=ComputedOnce(unchanged))
+    return replace(drawn, r0=r0, r=r0 - drawn.Q @ (drawn.Q.T @ r0), known=ComputedOnce(unchanged), known_beside=ComputedOnce())
 
 
 @dataclass(frozen=True)

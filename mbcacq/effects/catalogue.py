@@ -35,7 +35,8 @@ _added: ContextVar[Mapping[str, Effect]] = ContextVar("effects added for a while
 
 def effects() -> Mapping[str, Effect]:
     """Name of the effect -> its module. Raises ConfigError if another package's module cannot be imported or is no effect."""
-    return MappingProxyType({**_effects(tuple(sys.path)), **_added.get()})
+    found, added = _effects(tuple(sys.path)), _added.get()
+    return MappingProxyType({**found, **added}) if added else found
 
 
 @cache

@@ -15,3 +15,9 @@ class ComputedOnce(dict[Hashable, Any]):
         if key not in self:
             self[key] = compute()
         return self[key]
+
+    def last(self, of: str, key: Hashable, compute: Callable[[], Computed]) -> Computed:
+        """The same, but of everything called ``of`` only the result for the key of the last call is kept."""
+        if of not in self or self[of][0] != key:
+            self[of] = key, compute()
+        return self[of][1]

@@ -47,7 +47,7 @@ def test_a_name_that_no_drive_of_the_arm_can_have_needs_no_limit(setup):
 def drawn(projected, X, coefficients, rng):
     """The projected problem of a recording with that effect and unit noise."""
     r0 = X @ coefficients + rng.normal(size=len(X))
-    return replace(projected, r0=r0, r=r0 - projected.Q @ (projected.Q.T @ r0), known=ComputedOnce())
+    return replace(projected, r0=r0, r=r0 - projected.Q @ (projected.Q.T @ r0), known=ComputedOnce(), known_beside=ComputedOnce())
 
 
 def band_of(gear, order):

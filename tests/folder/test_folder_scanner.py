@@ -6,7 +6,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from dry_runs import plan_file, recorded
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.folder import FakeScannerProgram
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
@@ -132,13 +131,6 @@ def test_options_that_cannot_be_are_named(tmp_path, options, sentence):
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConnectError, match="there is no folder"):
         scanner(tmp_path / "clouds").connect()
-
-
-@pytest.mark.parametrize("name", ["folder.yaml", "folder-output.yaml"])
-def test_a_dry_run_takes_its_clouds_from_files(tmp_path, name):
-    """Triggered over the network, and by an output of the fake controller, which runs the programs of `controller-files`."""
-    plan = plan_file(tmp_path, lambda plan: plan.update(steps=plan["steps"][-1:]), name)
-    assert recorded(plan, tmp_path / "run").n_poses == 4
 
 
 @contextmanager

@@ -26,7 +26,7 @@ def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> 
     """One candidate beyond geometry and what the problem is conditioned on."""
     if candidate.components:
         return scanned_candidate(projected, candidate)
-    return evidence_of_one(projected, candidate) if candidate.hyper is None else fixed_candidates(projected, [candidate])[0]
+    return fixed_candidates(projected, [candidate])[0]
 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
@@ -43,18 +43,9 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
         for positive, least in set(kinds):
             mine = np.array([kind == (positive, least) for kind in kinds])
             logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], np.array(possible_sizes(least)), positive)
-    values: dict[str, list[tuple[Candidate, float | None, float]]] = {}
-    for (candidate, hyper), log in zip(fixed.entries, logs, strict=True):
-        values.setdefault(candidate.key, []).append((candidate, hyper, float(log)))
-    out = []
-    for each in values.values():
-        candidate, hyper, _ = each[0]
-        if hyper is None:
-            out.append((each[0][2], Member(candidate, None)))
-        else:
-            log = np.array([one[2] for one in each])
-            out.append(averaged(candidate, np.array([one[1] for one in each], dtype=float), log))
-    return out
+    chosen = [c for c in candidates if not c.components]
+    ends = np.cumsum([1 if c.hyper is None else len(c.hyper.values) for c in chosen])
+    return [averaged(c, each) for c, each in zip(chosen, np.split(logs, ends[:-1]), strict=True)] if chosen else []
 
 
 def evidence_of_one(projected: CandidateScoring, candidate: Candidate, hyper: float | None = None) -> Scored:
@@ -62,11 +53,13 @@ def evidence_of_one(projected: CandidateScoring, candidate: Candidate, hyper: fl
     return float(log_factors(projected, candidate, [hyper])[0]), Member(candidate, hyper)
 
 
-def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> Scored:
-    """Over the values (H,) of a hyper-parameter, with log Bayes factors (H,)."""
-    weighted = logs + log_weights(candidate, values)
+def averaged(candidate: Candidate, logs: np.ndarray) -> Scored:
+    """Over the values of a hyper-parameter, with log Bayes factors (H,)."""
+    if candidate.hyper is None:
+        return float(logs[0]), Member(candidate, None)
+    weighted = logs + log_weights(candidate, candidate.hyper.values)
     total, best = float(np.logaddexp.reduce(weighted)), int(weighted.argmax())
-    return total, Member(candidate, float(values[best]), total - float(logs[best]))
+    return total, Member(candidate, float(candidate.hyper.values[best]), total - float(logs[best]))
 
 
 def log_weights(candidate: Candidate, values: np.ndarray) -> np.ndarray:
@@ -91,7 +84,7 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
     hyper = candidate.hyper
     assert hyper is not None, "a candidate with components has a hyper-parameter"
     logs = log_factors(projected, candidate, hyper.values)
-    coarse = averaged(candidate, hyper.values, logs)
+    coarse = averaged(candidate, logs)
     if not hyper.refine or logs.max() < OPTIONS.resolved:
         return coarse
     grid = np.sort(hyper.values)

@@ -56,13 +56,13 @@ class EvidenceMap:
         self.blocks = [block for group in groups for block in group.blocks]
         basis = np.c_[projected.Q, projected.beyond_geometry()]
         products = self._products(basis, lambda keys: _with_residual(projected, keys), projected.stations)
-        absorbed, self.b = products[:, :-1], products[:, -1]
+        self.b = np.concatenate([each[:, -1] for each in products])
         self.raw = np.empty(len(self.b))
         of_size: dict[int, list[tuple[np.ndarray, ...]]] = {}
         block, column = 0, 0
-        for group in groups:
-            mine = slice(column, column + len(group.location.mix) * group.functions.shape[1])
-            squares, taken = np.empty((len(group.location.mix), group.functions.shape[1])), absorbed[mine]
+        for group, absorbed in zip(groups, products, strict=True):
+            mine = slice(column, column + len(absorbed))
+            squares, taken = np.empty((len(group.location.mix), group.functions.shape[1])), absorbed[:, :-1]
             for (functions, batches), whole in zip(group.batches, self._normal(group), strict=True):
                 squares[:, functions] = np.einsum("nccaa->cna", whole)
                 for batch in batches:
@@ -82,7 +82,7 @@ class EvidenceMap:
         """projected: this map's problem, possibly conditioned on effects and groups."""
         log, b, absorbed = np.empty(len(self.blocks)), self.b, None
         if projected.conditioned.shape[1]:
-            absorbed = self._products(projected.conditioned, projected.conditioned_pose_products)
+            absorbed = np.concatenate(self._products(projected.conditioned, projected.conditioned_pose_products))
             b = b - absorbed @ projected.along
         for number, columns, weight, S in self.sizes:
             beyond = S if absorbed is None else projected_out(S, absorbed[columns])
@@ -94,9 +94,11 @@ class EvidenceMap:
 
     def _products(
         self, basis: np.ndarray, of_poses: Callable[[tuple[UnitKey, ...]], np.ndarray], stations: Sequence[np.ndarray] = ()
-    ) -> np.ndarray:
-        """(K, z) products of all columns with a basis (rows, z). of_poses: its sums (P, c, z) over each pose with unit columns. stations:
-        the poses of each, where the first columns of the basis, six of each station, vanish at the poses of all others.
+    ) -> list[np.ndarray]:
+        """The products (columns, z) of each group's columns with a basis (rows, z).
+
+        of_poses: its sums (P, c, z) over each pose with unit columns. stations: the poses of each, where the first columns of the basis,
+        six of each station, vanish at the poses of all others.
         """
         out = []
         by_centre = None if all(group.location.per_pose for group in self.groups) else self.projected.whiten.transpose(basis)
@@ -106,7 +108,7 @@ class EvidenceMap:
                 out.append(by_functions(group, of_poses(keys), stations))
             else:
                 out.append(by_functions(group, np.swapaxes(self._unit(keys), 1, 2) @ by_centre))
-        return np.concatenate(out)
+        return out
 
     def _unit(self, keys: tuple[UnitKey, ...]) -> np.ndarray:
         """(M, R, c) change of the prediction by each unit column of a location."""

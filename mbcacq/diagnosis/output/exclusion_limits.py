@@ -67,17 +67,18 @@ def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Se
     beside = confounders(candidate, others)
     if not beside:
         return problem
-    blocks = [problem.block(other, value) for other, value in beside]
-    sigma = np.concatenate([largest(other) for other, _ in beside])
-    return problem.conditioned_on([(np.concatenate(blocks, axis=1), sigma**-2.0)])
+    key = tuple((other.key, value) for other, value in beside)
+    blocks = ((problem.block(other, value), largest(other) ** -2.0) for other, value in beside)
+    return problem.known_beside.last("confounders", key, lambda: problem.conditioned_on(list(blocks)))
 
 
 def confounders(candidate: Candidate, others: Sequence[Candidate]) -> list[tuple[Candidate, float | None]]:
     """The effects that are free beside one, each at values of its hyper-parameter."""
     out = []
+    of_every_arm = {name for name in {other.name for other in others} if catalogue.declaration(name).every_arm}
     for other in others:
-        here = set(other.where) & set(candidate.where) and other.name != candidate.name
-        if other.key != candidate.key and (here or catalogue.declaration(other.name).every_arm):
+        here = other.name != candidate.name and not set(candidate.where).isdisjoint(other.where)
+        if (here or other.name in of_every_arm) and other.key != candidate.key:
             out += [(other, value) for value in values_beside(other)]
     return out
 
@@ -101,9 +102,7 @@ class BandScan:
 
     def __init__(self, problem: CandidateScoring, candidate: Candidate, own: Sequence[LimitBand]):
         self.problem, self.candidate, t = problem, candidate, candidate.typical
-        self.values: tuple[float | None, ...] = own[0].values
-        if len(own) > 1:
-            self.values = tuple(sorted({value for band in own for value in band.values if value is not None}))
+        self.values = tuple(sorted({value for band in own for value in band.values if value is not None})) or (None,)
         S, b = problem.normal_matrices(candidate, self.values)
         self._information, self._gradient = S * np.outer(t, t), b * t
 

@@ -43,8 +43,11 @@ class Elsewhere:
 
     def displacement(self, effect: Member) -> np.ndarray | None:
         """(P, 3) mm: what an effect of the recording would do at these postures; None if it cannot be built there."""
-        candidate = self.candidates.get(effect.candidate.key)
-        return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
+        key = effect.candidate.key
+        if key not in self.candidates:
+            return None
+        columns = self.linear.computed_once((key, effect.hyper), lambda: candidate_columns(self.linear, self.candidates[key], effect.hyper))
+        return columns[:, :3] @ effect.coefficients
 
     def displacement_together(self, effects: Sequence[Member]) -> np.ndarray | None:
         """The same of several effects together; None if one of them cannot be built."""

@@ -30,7 +30,7 @@ LEAST_POWER = float(ndtr(-1.0))  # quantile of T without any effect, below which
 MANY = 400.0  # chi2 from which the root of a noncentral chi2 variable is a normal one
 REACH, POINTS = 8.0, 161  # standard deviations about T, and points there, at which the distribution is tabulated
 SHARES = 400  # of the least to the best determined members of a family
-HALVINGS = 50
+HALVINGS = 30  # to a share of 1e-9
 DIRECTIONS = 256
 
 

@@ -242,19 +242,24 @@ class CandidateScoring:
 
         What moves a pose as a whole is a combination of the sums of a twist.
         """
+        return self.known(("sums", components), lambda: self._pose_products(components))
+
+    def _pose_products(self, components: tuple[UnitKey, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         twists = self.twists(components)
         if twists is None:
-            return self.known(("sums", components), lambda: self._sums(self._units(components)))
+            return self._sums(self._units(components))
         b, A, C = self.known("sums", lambda: self._sums(self._moved()))
-        moved = (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
-        return self.known(("sums", components), lambda: moved)
+        return (twists @ b[:, :, None])[:, :, 0], twists @ A @ np.swapaxes(twists, 1, 2), twists @ C
 
     def conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         """(P, c, a): the same with the basis of what the problem is conditioned on."""
+        return self.known_beside(components, lambda: self._conditioned_pose_products(components))
+
+    def _conditioned_pose_products(self, components: tuple[UnitKey, ...]) -> np.ndarray:
         twists = self.twists(components)
         if twists is None:
-            return self.known_beside(components, lambda: self.whiten.pose_products(self._units(components), self.conditioned))
-        return twists @ self.known_beside((), lambda: self.whiten.pose_products(self._moved(), self.conditioned))
+            return self.whiten.pose_products(self._units(components), self.conditioned)
+        return twists @ self.known_beside("moved", lambda: self.whiten.pose_products(self._moved(), self.conditioned))
 
     def noise_draws(self) -> np.ndarray:
         """(rows, NOISES) draws of what is left of a residual without any effect once geometry is projected out: covariance I - QQ'."""
@@ -293,10 +298,7 @@ class CandidateScoring:
         """
         if candidate.hyper is not None and values is candidate.hyper.values:
             return self.known(("scan", candidate.key), lambda: self._scanned(candidate, values))
-        key, last = (candidate.key, values.tobytes()), self.known("last scan", ComputedOnce)
-        if key not in last:
-            last.clear()
-        return last(key, lambda: self._scanned(candidate, values))
+        return self.known.last("scan", (candidate.key, values.tobytes()), lambda: self._scanned(candidate, values))
 
     def _scanned(self, candidate: Candidate, values: np.ndarray) -> tuple[ScannedFunctions, np.ndarray, np.ndarray]:
         b, A, C = self.pose_products(candidate.components)
