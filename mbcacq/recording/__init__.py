@@ -13,9 +13,8 @@ from mbcacq.files.atomic_write import finish_set
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
-    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.recording.rrd.reader import Recording as Recording
 
-__all__ = ["ACCEPTED", "Recording", "load_observations", "load_whole_trajectories"]
 
 ACCEPTED = (
     "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv), "
