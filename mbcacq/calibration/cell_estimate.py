@@ -69,7 +69,8 @@ class CellEstimate:
         q : (P, n) ndarray
             Joint angles at which each point was seen, rad.
         xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
+            Points in the frame of what is on the flange, mm: of the scanner, or of a target. What an instrument that stands apart
+            measured is in the frame of its station: ``se3.apply(cell.state.T_base_station[0], xyz)`` places it.
 
         Returns
         -------
