@@ -29,9 +29,9 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.quantities import capitalised
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
+from mbcacq.report.write import write_check_page
 from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder
 from mbcacq.workflow.corrected_targets import refuse_uncalibrated

@@ -88,7 +88,7 @@ def test_what_does_not_come_is_named(tmp_path, program, fault, error, sentence):
 
 def test_two_clouds_for_one_trigger_are_said(tmp_path, program):
     program.faults.set("twice")
-    with scanner(tmp_path, program, quiet_s=1.5) as device:
+    with scanner(tmp_path, program, quiet_s=0.3) as device:
         found = device.capture()
     assert "2 new clouds stand in the folder after one trigger (cloud_0002.ply); cloud_0001.ply was taken" in found.warnings[0]
 

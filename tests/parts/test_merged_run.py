@@ -30,8 +30,8 @@ from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
-from mbcacq.spheres import read_cloud
 from mbcacq.spheres.cloud_file import read_cloud_file
+from mbcacq.spheres.ply import read_cloud
 from mbcacq.workflow.export import export
 from mbcacq.workflow.merge_scans import merge_scans
 from mbcacq.workflow.part_scenes import scenes_as_observations, trials_on_parts
