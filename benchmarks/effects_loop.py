@@ -41,7 +41,7 @@ from mbcacq.model.json_text import sealed_text
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.recording.rrd.scan_export import scans_to_write
-from mbcacq.spheres import read_cloud
+from mbcacq.spheres.ply import read_cloud
 from mbcacq.workflow.corrected_targets import corrected_targets, improvement_of_run
 
 CAPTURE_MM = 1.0  # about a measured sphere, within which points of a cloud belong to it

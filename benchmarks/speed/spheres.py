@@ -10,7 +10,7 @@ import clouds
 import numpy as np
 
 from mbcacq.files.open3d_library import open3d
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 from mbcacq.spheres.fit import rough_fits, sphere_fits
 
 LIMIT = np.radians(65.0)

@@ -115,7 +115,7 @@ def compare(
     A method that the data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises CalibrationError
     where no method is determined: no station was seen from two postures."""
     obs = select_phases(observations, CalibrationOptions())
-    if posture_range(obs) < SAME_POSTURE:
+    if all(np.ptp(obs.q[obs.station == s], axis=0).max() < SAME_POSTURE for s in np.unique(obs.station)):
         raise CalibrationError(
             "every station was seen from one posture of the arm only, which leaves all but the shape of the scans "
             "undetermined; nothing can be compared. Take several different poses at each station"
@@ -148,11 +148,6 @@ def _row(
         why = str(error)
     row = ComparisonRow(method=name, fit_mm=rms(d), bar_mean_mm=mean, bar_max_mm=largest, held_out_mm=held_out_mm, time_s=seconds)
     return replace(row, why_not_held_out=why)
-
-
-def posture_range(obs: Observations) -> float:
-    """Largest change (rad) of a joint angle between the poses of any one station."""
-    return max(float(np.ptp(obs.q[obs.station == s], axis=0).max()) for s in np.unique(obs.station))
 
 
 def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, seed: int) -> float:

@@ -19,11 +19,12 @@ from mbcacq.calibration.published_cell import cell_of, with_estimates
 from mbcacq.calibration.recording_faults import joint_factor
 from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects import discrepancy
+from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
-from mbcacq.estimation import variance_components
+from mbcacq.estimation import forward_model, variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust, with_random_links
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.options import Noise
@@ -39,8 +40,8 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
-Kind = Callable[[Covariates], list[EffectTerm]]
-FURTHER: tuple[Kind, ...] = (discrepancy.structure, discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+Kind = Callable[[Context], list[EffectTerm]]
+FURTHER: tuple[Kind, ...] = discrepancy.FURTHER
 CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
 FASTEST_MESH, MOST_MESHES = 330.0, 6  # periods a turn of a joint: twice in each turn of a strain wave of a ratio of 160
 ALIAS = 0.9  # of the window: orders so far apart look alike at the angles of a grid, and the slower one is no mesh
@@ -64,7 +65,7 @@ def with_discrepancy(alone: Adjustment) -> CalibratedCell | None:
         another share, unless they are independent. None where geometry alone is as probable.
     """
     obs, options = alone.lineariser.obs, alone.lineariser.options
-    here = Covariates(obs)
+    here = Context(obs, alone.state, forward_model.predict(obs, alone.state))
     prior = noise_prior(obs.cell, options.noise)
     nothing = _Groups(_some_of(alone), prior, (), (), alone.noise)
     best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
@@ -112,7 +113,7 @@ def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _
     return other if other.evidence > one.evidence + least else one
 
 
-def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER[1:]) -> _Groups:
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Context, where_noisy: Collection[Kind] = FURTHER[1:]) -> _Groups:
     """The groups with those of further kinds, one kind after the other, where the evidence asks for them. where_noisy: the kinds that are
     tried only where the joints' noise is beyond the data sheet: there are many of them."""
     allowed = first_noise(here.obs.cell)
@@ -136,7 +137,7 @@ def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: 
     return best
 
 
-def _with_meshes(best: _Groups, here: Covariates) -> _Groups:
+def _with_meshes(best: _Groups, here: Context) -> _Groups:
     """The groups with single orders of meshes, one after the other. Thousands of orders are no smooth function: a candidate is the one that
     a joint's errors follow best, as the groups leave them. Those of a joint are looked for once more where the others' are in place."""
     for _ in range(MOST_MESHES):
@@ -150,7 +151,7 @@ def _with_meshes(best: _Groups, here: Covariates) -> _Groups:
     return best
 
 
-def _with_mesh(groups: _Groups, here: Covariates) -> _Groups:
+def _with_mesh(groups: _Groups, here: Context) -> _Groups:
     """The groups with the strongest order, if it has more power than any of noise alone."""
     power, joint, order = _strongest_order(groups)
     tried = _Groups.first(groups, [discrepancy.mesh(here, joint, order)], here) if power > LEAST_GAIN_OF_MESH else None
@@ -233,7 +234,7 @@ class _Groups:
     start: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates) -> _Groups | None:
+    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Context) -> _Groups | None:
         """The known groups with further ones. here: of the whole recording, of which the problem may hold a part."""
         if not groups:
             return None

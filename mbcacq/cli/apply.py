@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.calibration import result_io
 from mbcacq.cli.declared import FILE, Answer, argument, option, subcommand
@@ -15,10 +15,8 @@ from mbcacq.exports import clouds as written_clouds
 from mbcacq.exports import result_json, scan_correction
 from mbcacq.files import stated_unit
 from mbcacq.quantities import K, uncertainty
+from mbcacq.spheres import cloud_file
 from mbcacq.workflow import arm_positions, load
-
-if TYPE_CHECKING:
-    from mbcacq.spheres.cloud_file import CloudFile
 
 
 @subcommand("apply")
@@ -99,10 +97,8 @@ def _outputs(clouds: Sequence[Path], folder: Path, force: bool) -> list[Path]:
 
 def _placed(known: Mapping[str, Any], cloud: Path, position: arm_positions.ArmPosition, out: Path, unit: str | None) -> dict[str, Any]:
     """Write one cloud in the base frame; what was written, and how well it is placed."""
-    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
-
-    found = read_cloud_file(cloud)
-    moved, placed = scan_correction.place_scan(known, position.q, in_mm(cloud, found, unit), flange=position.flange)
+    found = cloud_file.read_cloud_file(cloud)
+    moved, placed = scan_correction.place_scan(known, position.q, cloud_file.in_mm(cloud, found, unit), flange=position.flange)
     changed = written_clouds.write_cloud(out, moved, found.properties, placed.T_base_scanner)
     return {
         "output": str(out),
@@ -117,11 +113,9 @@ def _placed(known: Mapping[str, Any], cloud: Path, position: arm_positions.ArmPo
     }
 
 
-def _notes(cloud: CloudFile, unit: str | None, result: Mapping[str, Any], changed: Sequence[str]) -> list[str]:
+def _notes(cloud: cloud_file.CloudFile, unit: str | None, result: Mapping[str, Any], changed: Sequence[str]) -> list[str]:
     """What was decided about the cloud without being asked. unit: as it was said; changed: properties that PLY has no type for."""
     import numpy as np
-
-    from mbcacq.spheres.cloud_file import looks_small
 
     notes = []
     if cloud.missing:
@@ -131,7 +125,7 @@ def _notes(cloud: CloudFile, unit: str | None, result: Mapping[str, Any], change
     if cloud.viewpoint:
         notes.append("its VIEWPOINT is not applied: the points are taken as they stand, in the scanner frame")
     balls = np.array([ball["centre_mm"] for ball in result.get("balls", ())], dtype=float).reshape(-1, 3)
-    if not (unit or cloud.unit) and (small := looks_small(cloud.points, balls)):
+    if not (unit or cloud.unit) and (small := cloud_file.looks_small(cloud.points, balls)):
         notes.append(small)
     if changed:
         notes.append(f"PLY has no type for {', '.join(changed)}; written as double")

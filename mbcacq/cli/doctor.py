@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq import doctor as checking
+from mbcacq import plan as planning
 from mbcacq.cli.declared import Answer, argument, option, subcommand
 from mbcacq.cli.next_step import command_line
 from mbcacq.cli.plan_path import PlanPath
@@ -17,9 +18,6 @@ from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
 from mbcacq.files.atomic_write import write_file
-
-if TYPE_CHECKING:
-    from mbcacq.doctor import CheckupLine
 
 COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
 DEVICES = ("robot", "scanner", "positioner", "sensor", "devices")
@@ -52,16 +50,10 @@ def command(
     """
     if protocol or evidence is not None:
         return write(page_of(plan) if evidence is None else json_of(evidence, anonymous), out)
-    from mbcacq.doctor import checkup
-
-    loaded = None
-    if plan is not None:
-        from mbcacq.plan import load
-
-        loaded = load(plan)
+    loaded = None if plan is None else planning.load(plan)
     found = []
     with StepProgress() as progress:
-        for line in checkup(loaded, arm, progress):
+        for line in checking.checkup(loaded, arm, progress):
             found.append(line)
             if not as_json:
                 progress.clear()
@@ -86,11 +78,10 @@ def next_step(plan: Path | None, wrong: bool) -> tuple[str, str]:
 def page_of(plan: Path | None) -> str:
     """The protocol of a first contact. Raises UsageError without a plan."""
     from mbcacq.doctor.first_contact import protocol
-    from mbcacq.plan import load
 
     if plan is None:
         raise click.UsageError("--protocol needs a PLAN: the steps are those of its drivers")
-    return protocol(load(plan))
+    return protocol(planning.load(plan))
 
 
 def json_of(run: Path, anonymous: bool) -> str:
@@ -109,7 +100,7 @@ def write(text: str, out: Path | None) -> None:
     echo(f"written: {out}", err=True)
 
 
-def print_line(line: CheckupLine) -> None:
+def print_line(line: checking.CheckupLine) -> None:
     """One line, and its cure below it."""
     echo(f"  {line.topic}: {line.text}", label=(f"{line.level:7}", COLOURS[line.level]))
     if line.cure:

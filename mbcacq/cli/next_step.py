@@ -8,9 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import MbcacqError, command_line
-
-__all__ = ["command_line", "forget_failure", "on_failure", "put_to_use", "say_after_failure", "say_next"]
+from mbcacq.errors import MbcacqError
+from mbcacq.errors import command_line as command_line
 
 _after_failure: list[tuple[str, str, Path | None]] = []
 

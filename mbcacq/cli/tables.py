@@ -32,9 +32,9 @@ from mbcacq.quantities import (
     symbol,
     uncertainty,
 )
-from mbcacq.report import judged
 from mbcacq.report.sources.images import camera_rows, image_rows
 from mbcacq.report.verdict import expected_accuracy
+from mbcacq.report.write import judged
 from mbcacq.workflow.effects import remarks_on_names
 
 

@@ -177,7 +177,8 @@ def fewest_views(shown: np.ndarray, options: DesignOptions) -> list[int]:
     near = shared >= options.overlap * np.minimum(count, count[:, None])
 
     def good(views: list[int]) -> bool:
-        return shown[views].any(axis=0).sum() >= needed and _hang_together(near[np.ix_(views, views)])
+        together = connected_components(csr_array(near[np.ix_(views, views)]))[0] == 1
+        return together and shown[views].any(axis=0).sum() >= needed
 
     chosen = [int(np.argmax(count))]
     while shown[chosen].any(axis=0).sum() < needed:
@@ -202,10 +203,6 @@ def _two_for_one(shown: np.ndarray, weight: np.ndarray, chosen: list[int], good:
             if good([*rest, k]):
                 return [*rest, k]
     return None
-
-
-def _hang_together(near: np.ndarray) -> bool:
-    return connected_components(csr_array(near))[0] == 1
 
 
 def in_short_order(loaded: LoadedPlan, found: PartViews, chosen: list[int]) -> list[int]:

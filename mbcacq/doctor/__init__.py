@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from mbcacq.doctor import computer, devices, installed, network
-from mbcacq.doctor.line import CheckupLine, from_error
+from mbcacq.doctor.line import CheckupLine
+from mbcacq.doctor.line import from_error as from_error
 from mbcacq.plan import LoadedPlan
-
-__all__ = ["CheckupLine", "checkup", "from_error"]
 
 
 def checkup(loaded: LoadedPlan | None, arm: bool = False, progress: Callable[[str], None] = lambda text: None) -> Iterator[CheckupLine]:

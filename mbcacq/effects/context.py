@@ -7,10 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.effects.covariates import AXIS, TILT, Covariates, rank_in_time
+from mbcacq.effects.covariates import AXIS, TILT, Covariates
+from mbcacq.effects.covariates import rank_in_time as rank_in_time
 from mbcacq.estimation.forward_model import CellState, Prediction
-
-__all__ = ["Context", "rank_in_time"]
 
 
 @dataclass(frozen=True)

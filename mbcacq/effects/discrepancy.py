@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import SMOOTH, EffectTerm
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine, times
+from mbcacq.effects.functions import Column, DescribedPart, Product, cosine, linear, of, sine, times
+from mbcacq.effects.kinds import mount_clearance
 from mbcacq.quantities import DEGREE
 
 
@@ -35,7 +37,7 @@ class DiscrepancyOptions:
     least_moment: float = 0.5  # N m, below which nothing gives way
     direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
     taken_up_rad: float = 0.5 * DEGREE  # a movement after which lost motion is as after any longer one
-    softening: float = 0.3  # share of a wind-up that is not proportional to the torque
+    bent: float = 0.3  # share of a wind-up that is not proportional to the torque
     least_travel_rad: float = 0.02  # joints that move by less show nothing of their own
     mm_per_rad: float = 300.0  # a prismatic joint errs by so many mm where a revolute one of a usual arm errs by one rad
     guide_functions: int = 6  # half waves over the travel of a guide, whose rails are a few metres long
@@ -49,6 +51,8 @@ class DiscrepancyOptions:
 
 OPTIONS = DiscrepancyOptions()
 WANDER, ORDER = "wander", "order"
+NEAR_MOUNT = 3  # joints whose angles a hose or a cable at the mount feels
+BENT = {"softening": 2.0, "stiffening": 1 / 3}  # powers of a torque: teeth that lift off, and that touch over more of their width
 
 
 def own_errors(here: Covariates) -> list[EffectTerm]:
@@ -102,10 +106,10 @@ def couplings(here: Covariates) -> list[EffectTerm]:
     moving = _turning(here)
     out = []
     for j in moving:
-        others = [i for i in moving if i != j]
-        columns = tuple(_centred(here, f"q{here.tags[i]}") for i in others)
-        if columns:
-            out.append(_term(here, j, "+".join(f"q{here.tags[i]}" for i in others), columns, np.full(len(columns), OPTIONS.start_rad)))
+        others = [f"q{here.tags[i]}" for i in moving if i != j]
+        if others:
+            columns = tuple(_centred(here, name) for name in others)
+            out.append(_term(here, j, "+".join(others), columns, np.full(len(columns), OPTIONS.start_rad)))
     return out
 
 
@@ -113,11 +117,21 @@ def pairs(here: Covariates) -> list[EffectTerm]:
     """Groups of each joint by products of sines and cosines of two angles, one group for each two."""
     moving = _turning(here)
     out = []
-    for a, b in combinations(moving, 2):
-        columns = tuple(times(x, y) for x in _first(f"q{here.tags[a]}") for y in _first(f"q{here.tags[b]}"))
+    for name, columns in _products(here, moving):
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
-        out += [_term(here, j, f"q{here.tags[a]}*q{here.tags[b]}", columns, sigma) for j in moving]
+        out += [_term(here, j, name, columns, sigma) for j in moving]
     return out
+
+
+def hoses(here: Covariates) -> list[EffectTerm]:
+    """Groups of the mount by products of two wrist angles, one group for each two: a hose or a cable pulls at it."""
+    each = _products(here, _turning(here)[-NEAR_MOUNT:])
+    return [_frame(here, "mount", here.n, name, [(c, f) for c in (3, 4, 5) for f in columns]) for name, columns in each]
+
+
+def _products(here: Covariates, joints: Sequence[int]) -> Iterator[tuple[str, tuple[Column, ...]]]:
+    for a, b in combinations([f"q{here.tags[j]}" for j in joints], 2):
+        yield f"{a}*{b}", tuple(times(x(a, 1), y(b, 1)) for x in (sine, cosine) for y in (sine, cosine))
 
 
 def structure(here: Covariates) -> list[EffectTerm]:
@@ -134,9 +148,22 @@ def structure(here: Covariates) -> list[EffectTerm]:
             out.append(_frame(here, here.frames[i], i, f"gravity_moment_{here.frame_tags[i]}", turned))
     along = [f"gravity_direction_{here.tags[-1]}_{axis}" for axis in "xyz"]
     sides: list[tuple[str, list[Column]]] = [("gravity_direction", [linear(name) for name in along])]
-    sides += [(name, [(Product(1.0, (Function(name, "sign", ()),)),)]) for name in along if np.ptp(np.sign(here.value(name))) > 0]
-    out += [_frame(here, "mount", n, on, [(c, f) for c in range(6) for f in functions]) for on, functions in sides]
+    sides += [(name, [of(name, "sign")]) for name in along if np.ptp(np.sign(here.value(name))) > 0]
+    return out + [_frame(here, "mount", n, on, [(c, f) for c in range(6) for f in functions]) for on, functions in sides]
+
+
+def clearances(here: Context) -> list[EffectTerm]:
+    """Groups of the mount by its seat, for each line along which gravity may close a clearance and each place to fall."""
+    out = []
+    for azimuth, elevation in mount_clearance.lines_of_residual(here):
+        name = f"gravity_along_{here.tags[-1]}_{azimuth}_{elevation}"
+        for at in mount_clearance.places_to_fall(here.value(name)):
+            seat = of(name, "sigmoid", at, mount_clearance.AT_ONCE)
+            out.append(_frame(here, "mount", here.n, name, [(c, seat) for c in range(6)], hyper={"falls_at": at}))
     return out
+
+
+FURTHER = (structure, clearances, hoses, gear_stages, couplings, pairs)  # kinds, in the order in which they are tried
 
 
 def wander(here: Covariates) -> list[EffectTerm]:
@@ -210,29 +237,28 @@ def _by_own_angle(here: Covariates, j: int, orders: Iterable[int]) -> list[Effec
 
 
 def _by_torque(here: Covariates, j: int, name: str) -> list[EffectTerm]:
-    """Wind-up by a torque, which goes on beyond the torques that were there; and the part of it that is not proportional, which does not:
-    tau |tau| less its regression on tau."""
+    """Wind-up by a torque, which goes on beyond the torques that were there; and the parts of it that are not proportional, which do not:
+    powers of the torque less their regressions on it."""
     torque = here.value(name)
     largest = float(np.abs(torque).max())
-    bent = torque * np.abs(torque)
-    slope = float(bent @ torque / max(torque @ torque, 1e-300))
-    curve = (Product(1 / largest**2, (Function(name, "sign", ()), Function(name, "power", (2.0,)))), *linear(name, -slope / largest**2))
     start = np.array([OPTIONS.start_rad])
-    return [
-        _term(here, j, name, (linear(name, 1 / largest),), start),
-        _term(here, j, name, (curve,), OPTIONS.softening * start, "softening", clamped=(name,)),
-    ]
+    out = [_term(here, j, name, (linear(name, 1 / largest),), start)]
+    for variant, power in BENT.items():
+        bent = np.sign(torque) * np.abs(torque / largest) ** power
+        slope = float(bent @ torque / max(torque @ torque, 1e-300))
+        curve = (*of(name, "signed_power", power, factor=largest**-power), *linear(name, -slope))
+        out.append(_term(here, j, name, (curve,), OPTIONS.bent * start, variant, clamped=(name,)))
+    return out
 
 
 def _by_arrival(here: Covariates, j: int) -> list[EffectTerm]:
     """Lost motion by the recorded direction of arrival; where none is recorded, by the way from the pose measured before."""
     taken_up = float(OPTIONS.taken_up_rad * here.obs.cell.robot.chain.by_kind(1.0, OPTIONS.mm_per_rad)[j])
-    for kind, function in (("direction_", ("sign", ())), ("movement_", ("clip", (taken_up,)))):
-        values, name = _recorded(here, kind), f"{kind}{j + 1}"
+    direction, movement = f"direction_{j + 1}", f"movement_{j + 1}"
+    for kind, column in (("direction_", of(direction, "sign")), ("movement_", of(movement, "clip", taken_up, factor=1 / taken_up))):
+        values = _recorded(here, kind)
         if values is not None and np.ptp(np.sign(values[:, j])) > 0:
-            factor = 1.0 if kind == "direction_" else 1 / taken_up
-            column = (Product(factor, (Function(name, *function),)),)
-            return [_term(here, j, name, (column,), np.array([OPTIONS.direction_start_rad]))]
+            return [_term(here, j, f"{kind}{j + 1}", (column,), np.array([OPTIONS.direction_start_rad]))]
     return []
 
 
@@ -241,18 +267,13 @@ def _centred(here: Covariates, name: str) -> Column:
     return (*linear(name), Product(-middle))
 
 
-def _first(name: str) -> Iterator[Column]:
-    yield sine(name, 1)
-    yield cosine(name, 1)
-
-
-def _frame(here: Covariates, location: str, frame: int, depends_on: str, moved: Sequence[tuple[int, Column]]) -> EffectTerm:
+def _frame(here: Covariates, location: str, frame: int, depends_on: str, moved: Sequence[tuple[int, Column]], **fields: Any) -> EffectTerm:
     """One frame by functions, each of which moves one of its components."""
     zero: tuple[Column, ...] = ((),) * len(moved)
     parts = [DescribedPart("frame", frame, c, (*zero[:k], column, *zero[k + 1 :])) for k, (c, column) in enumerate(moved)]
     sigma = np.array([OPTIONS.start_rad if c >= 3 else OPTIONS.start_mm for c, _ in moved])
     units = tuple("rad" if c >= 3 else "mm" for c, _ in moved)
-    return EffectTerm.of_group(here, (location,), depends_on, parts, sigma, units, variant=SMOOTH)
+    return EffectTerm.of_group(here, (location,), depends_on, parts, sigma, units, variant=SMOOTH, **fields)
 
 
 def _term(

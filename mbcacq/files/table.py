@@ -17,10 +17,9 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.files.clock import ClockError, is_clock, seconds
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
-from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
+from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, matched, score
+from mbcacq.files.table_schema import joint_columns as joint_columns
 from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_in_cells, unit_named
-
-__all__ = ["Column", "Table", "TableSchema", "as_table", "joint_columns", "read_table"]
 
 MAX_BYTES = 1 << 30
 SHOWN = 24  # headings that an error lists

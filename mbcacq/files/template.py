@@ -16,11 +16,11 @@ def filled(template: Path, /, **values: Any) -> str:
     A template has the filters of Jinja, and ``decimals(places=1)``, which never writes a negative zero. Values are escaped in templates of
     HTML and SVG. Raises jinja2.UndefinedError for a value that is not given.
     """
-    return _environment(template.parent).get_template(template.name).render(values)
+    return environment_of(template.parent).get_template(template.name).render(values)
 
 
 @cache
-def _environment(folder: Path) -> Environment:
+def environment_of(folder: Path) -> Environment:
     """One for each folder: it keeps the templates that it has compiled."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 

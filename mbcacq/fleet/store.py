@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pyarrow import Table, parquet
+from pyarrow.lib import ArrowException
+
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file, write_files
 from mbcacq.fleet.evaluation import FORMAT, FleetTask
@@ -82,8 +85,6 @@ class FleetStore:
         """All rows as one Parquet table, in the order given, and the page about them (HTML), as a set. Raises RecordingError."""
 
         def table(partial: Path) -> None:
-            from pyarrow import Table, parquet
-
             parquet.write_table(Table.from_pylist([row.columns() for row in rows], schema=arrow_schema(rows)), partial)
 
         written = write_files(self.folder, {TABLE: table, PAGE: page})
@@ -92,9 +93,6 @@ class FleetStore:
 
 def read_table(fleet: Path) -> list[FleetRow]:
     """The rows of a fleet: of its folder, or of its Parquet table. Raises ConfigError."""
-    from pyarrow import parquet
-    from pyarrow.lib import ArrowException
-
     path = fleet / TABLE if fleet.is_dir() else fleet
     try:
         rows = parquet.read_table(path).to_pylist()

@@ -29,9 +29,9 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.quantities import capitalised
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.report import write_check_page
 from mbcacq.report.sources.check_result import FORMAT, keep_check_result
 from mbcacq.report.sources.run_folder import read_run_identity
+from mbcacq.report.write import write_check_page
 from mbcacq.version import __version__
 from mbcacq.workflow.acquire import new_run_folder
 from mbcacq.workflow.corrected_targets import refuse_uncalibrated
@@ -137,6 +137,8 @@ class InterimCheck:
             In words, and as a command.
         """
         how, name = "--dry-run" if dry_run else "--arm", shipped.plan_name(plan)
+        if kind_of(self.run) is RunKind.COLLECTED and not self.changed:
+            return "collect the same poses again tomorrow, and judge them", command_line("check", result, name, "--from", "RUN")
         kept = () if self.file == _history_file(result, None) else ("--history", self.file)
         if self.changed:
             return "put right what changed, or calibrate anew", command_line("run", name, how)

@@ -83,9 +83,10 @@ class EProcess:
     def _level(self, noise: float, day: float) -> Level:
         weight, log_det = weight_of(noise**2 * self.rows.noise + day**2 * self.rows.daily @ self.rows.daily.T, self.rows.free)
         scores, information = [], []
-        for columns in self.columns:
-            values, vectors = np.linalg.eigh(columns.T @ weight @ columns)
-            scores.append(weight @ columns @ vectors)
+        weighted = np.split(weight @ np.concatenate(self.columns, axis=1), self.first[1:], axis=1)
+        for columns, score in zip(self.columns, weighted, strict=True):
+            values, vectors = np.linalg.eigh(columns.T @ score)
+            scores.append(score @ vectors)
             information.append(np.maximum(values, 0.0))
         return Level(noise, day, weight, log_det, np.concatenate(scores, axis=1), np.concatenate(information))
 

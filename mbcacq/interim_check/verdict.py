@@ -182,7 +182,7 @@ def _undone(followed: Followed, T: int) -> tuple[int, int, int] | None:
             ends = np.arange(n + 1, T)
             each = np.asarray(logsumexp(null + process.log_factors(h, sums, T, np.full_like(ends, n), ends), axis=(1, 2)))
             ended[h, n, n + 1 :] = each + onsets[n - 1] - np.log(len(ends))
-    if logsumexp(ended) - logsumexp(stands) < np.log(OPTIONS.class_odds):
+    if np.logaddexp.reduce(ended.ravel()) - np.logaddexp.reduce(stands) < np.log(OPTIONS.class_odds):
         return None
     level, first, end = np.unravel_index(int(np.argmax(ended)), ended.shape)
     return int(first), int(end), int(level)
@@ -223,11 +223,11 @@ def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level) ->
 
 def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray) -> tuple[float, Estimate]:
     """log of weight times Bayes factor of one change, and its estimate."""
-    b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
+    weighted = change.columns.T @ weight
+    b, S = weighted @ mean, weighted @ change.columns
     each = [_log_factor(S, b, size) for size in OPTIONS.sizes]
-    log = logsumexp(each) - np.log(len(each)) + np.log(change.weight)
-    estimate = _estimate(change, S, b, OPTIONS.sizes[int(np.argmax(each))])
-    return (-np.inf if change.where == SCANNER else float(log)), estimate
+    log = np.logaddexp.reduce(each) - np.log(len(each)) + np.log(change.weight)
+    return (-np.inf if change.where == SCANNER else float(log)), _estimate(change, S, b, OPTIONS.sizes[int(np.argmax(each))])
 
 
 def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:

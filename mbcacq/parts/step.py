@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 
 from mbcacq.parts.options import PartOptions
 from mbcacq.parts.overlap import Overlap
@@ -43,7 +45,10 @@ class SmoothNoise:
 
     def covariance_of(self, points: np.ndarray, variance: np.ndarray) -> np.ndarray:
         """(c, c) mm^2 of heights at points (c, 3) mm, whose own variance (c,) is known."""
-        square = np.sum((points[:, None] - points) ** 2, axis=2)
+        return self.by_distance(cdist(points, points, "sqeuclidean"), variance)
+
+    def by_distance(self, square: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """(c, c) mm^2 of heights whose points are apart by the roots of ``square`` (c, c) mm^2."""
         return self.sigma_mm**2 * np.exp(-square / (2 * self.length_mm**2)) + self.share * np.diag(variance)
 
 
@@ -127,7 +132,7 @@ def rigid_step(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> Rigi
 def _solved(cells: Overlap, noise: SmoothNoise, options: PartOptions) -> RigidStep:
     centre, scale, J, determined, _ = motions(cells.point, cells.normal, options)
     whitened = np.linalg.cholesky(noise.covariance(cells))
-    A, r = (np.linalg.solve(whitened, side) for side in (J @ determined, cells.distance))
+    A, r = (solve_triangular(whitened, side, lower=True) for side in (J @ determined, cells.distance))
     covariance, D = np.linalg.inv(A.T @ A), determined / scale[:, None]
     twist, covariance = D @ covariance @ (A.T @ r), D @ covariance @ D.T
     return RigidStep(
@@ -153,17 +158,18 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     """The smooth noise of the scanner from overlaps whose scans are nearly in place."""
     rng = np.random.default_rng(0)
     chosen = [overlaps[k] for k in np.unique(np.linspace(0, len(overlaps) - 1, OVERLAPS_FOR_NOISE).astype(int))]
-    plain = SmoothNoise(0.0, 1.0)
     some = []
     for cells in chosen:
-        kept = rigid_step(cells, plain, options).cells
+        kept = rigid_step(cells, SmoothNoise(0.0, 1.0), options).cells
         some.append(kept.some(rng.permutation(len(kept))[:MOST_FOR_NOISE]))
     spans = [float(np.ptp(cells.point, axis=0).max()) for cells in some]
-    shortest = float(np.median([np.sqrt(np.min(_squares(cells), axis=1)).mean() for cells in some]))
+    squares = [cdist(cells.point, cells.point, "sqeuclidean") for cells in some]
+    shortest = float(np.median([np.sqrt(np.partition(square, 1)[:, 1]).mean() for square in squares]))
+    sides = [np.c_[motions(cells.point, cells.normal, options)[2], cells.distance] for cells in some]
 
     def cost(at: np.ndarray) -> float:
         noise = SmoothNoise(*np.exp(at).tolist())
-        return sum(_restricted_cost(cells, noise) for cells in some)
+        return sum(_restricted_cost(noise.by_distance(d, o.variance), b) for d, o, b in zip(squares, some, sides, strict=True))
 
     sigma = np.sqrt(np.median([np.median(cells.variance) for cells in some]))
     low, high = np.log([0.01 * sigma, 0.5 * shortest, 0.05]), np.log([30 * sigma, 0.5 * float(np.median(spans)), 2.0])
@@ -173,20 +179,15 @@ def smooth_noise(overlaps: Sequence[Overlap], options: PartOptions) -> SmoothNoi
     return SmoothNoise(*np.exp(found.x).tolist())
 
 
-def _squares(cells: Overlap) -> np.ndarray:
-    away = np.sum((cells.point[:, None] - cells.point) ** 2, axis=2)
-    return away + np.diag(np.full(len(cells), np.inf))
+def _restricted_cost(covariance: np.ndarray, sides: np.ndarray) -> float:
+    """-2 times the restricted log likelihood of an overlap's distances, but for a constant.
 
-
-def _restricted_cost(cells: Overlap, noise: SmoothNoise) -> float:
-    """-2 times the restricted log likelihood of an overlap's distances, but for a constant."""
-    arms = cells.point - cells.point.mean(axis=0)
-    radius = np.sqrt(np.mean(np.sum(arms**2, axis=1)))
-    J = np.einsum("kc,kci->ki", cells.normal, rigid_columns(arms)) / np.repeat([1.0, radius], 3)
-    L = np.linalg.cholesky(noise.covariance(cells))
-    A, r = (np.linalg.solve(L, side) for side in (J, cells.distance))
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    r = r - U @ (U.T @ r)
+    covariance: (c, c) of the distances. sides: (c, 7) their columns by rigid motions, and they themselves.
+    """
+    L = np.linalg.cholesky(covariance)
+    white = solve_triangular(L, sides, lower=True, check_finite=False)
+    U, s, _ = np.linalg.svd(white[:, :6], full_matrices=False)
+    r = white[:, 6] - U @ (U.T @ white[:, 6])
     return float(2 * np.log(np.diag(L)).sum() + 2 * np.log(s).sum() + r @ r)
 
 

@@ -6,15 +6,15 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
+from mbcacq.files.template import environment_of
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
 from mbcacq.report.charts import change_charts
 from mbcacq.report.charts.check_charts import check_figures
@@ -26,9 +26,6 @@ from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figur
 from mbcacq.report.several import FleetContent, RunComparison
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 HERE = Path(__file__).parent
 PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
@@ -116,34 +113,27 @@ def render_check(kept: Mapping[str, Any], *, paper: bool = False) -> str:
     return _template("check_page.html.j2", k=kept, changed=kept["verdict"] == "changed", figures=drawn, paper=paper)
 
 
-@cache
-def _environment() -> Environment:
-    """One for all pages: it keeps the templates that it has compiled."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+def curve_title(effect: str, location: str) -> str:
+    return f"{capitalised(spelt_out(effect))} at {location}"
 
-    environment = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {
-        "number": fixed,
-        "signed": signed,
-        "pair": pair,
-        "uncertainty": uncertainty,
-        "curve_title": curve_title,
-        "quantity": quantity,
-        "capitalised": capitalised,
-    }
-    return environment
+
+FILTERS = {
+    "number": fixed,
+    "signed": signed,
+    "pair": pair,
+    "uncertainty": uncertainty,
+    "curve_title": curve_title,
+    "quantity": quantity,
+    "capitalised": capitalised,
+}
 
 
 def _template(name: str, **values: Any) -> str:
     scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
     kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
-    return _environment().get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
-
-
-def curve_title(effect: str, location: str) -> str:
-    return f"{capitalised(spelt_out(effect))} at {location}"
+    environment = environment_of(HERE)
+    environment.filters |= FILTERS
+    return environment.get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
 
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:

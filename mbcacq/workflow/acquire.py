@@ -32,7 +32,8 @@ from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.recording.run_folder.recovery import WHOLE
 from mbcacq.recording.run_folder.register import RunKind
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
-from mbcacq.spheres import SphereOptions, find_spheres
+from mbcacq.spheres.extract import find_spheres
+from mbcacq.spheres.found import SphereOptions
 from mbcacq.version import __version__
 from mbcacq.workflow.change_watch import ChangeWatch
 from mbcacq.workflow.resume import measured_balls, merge_parts

@@ -21,9 +21,10 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths
-from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.spheres.cloud_file import UNITS_MM
 from mbcacq.spheres.cloud_files import SUFFIXES, CloudFormat, read_points
+from mbcacq.spheres.extract import find_spheres
+from mbcacq.spheres.found import SphereOptions
 from mbcacq.workflow.joint_log import read_joint_log
 from mbcacq.workflow.robot_program import plan_digest
 

@@ -25,10 +25,10 @@ from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure
 from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
-from mbcacq.report import write_diagnosis_page
 from mbcacq.report.figures import diagnosis_figures
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.from_motion import motion_pictures
+from mbcacq.report.write import write_diagnosis_page
 from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.version import __version__
 from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures

@@ -21,11 +21,11 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.recovery import WHOLE
-from mbcacq.report import write_report_page
 from mbcacq.report.cards import verdict_card
 from mbcacq.report.content import Content
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
+from mbcacq.report.write import write_report_page
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import as_observations, counted_joints
 

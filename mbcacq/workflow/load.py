@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.result_io import read_result, split_number
@@ -14,15 +14,14 @@ from mbcacq.model.json_text import SEAL
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory, moves
 from mbcacq.model.yaml_source import parse
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan import load as read_plan
 from mbcacq.plan.controller_joints import matrix_of
 from mbcacq.plan.schema import ControllerJoints
 from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.run_plan import PLAN
-
-if TYPE_CHECKING:
-    from mbcacq.plan import LoadedPlan
 
 
 def load_plan(path: Path | str) -> LoadedPlan:
@@ -43,8 +42,6 @@ def load_plan(path: Path | str) -> LoadedPlan:
     ConfigError
         The plan has a mistake; the message is 'file:line: sentence'.
     """
-    from mbcacq.plan import load as read_plan
-
     return read_plan(path)
 
 

@@ -20,10 +20,10 @@ from mbcacq.recording.run_folder.gaps import find_gaps
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.register import RunKind, kind_of
-from mbcacq.report import write_check_page, write_report_page
 from mbcacq.report.sources.check_result import read_check_result
 from mbcacq.report.sources.from_result import content_of
 from mbcacq.report.sources.run_folder import read_run_info
+from mbcacq.report.write import write_check_page, write_report_page
 from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
 from mbcacq.workflow.load import as_observations, is_run_folder, unsealed_note
 

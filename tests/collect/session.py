@@ -14,7 +14,7 @@ from mbcacq_fakes.cell.rehearsal import rehearse
 from mbcacq.model import shipped
 from mbcacq.plan import expand, load
 from mbcacq.recording.datasets.scan_folder import write_ply
-from mbcacq.spheres import read_cloud
+from mbcacq.spheres.ply import read_cloud
 from mbcacq.workflow.controller_files import write as write_files
 from mbcacq.workflow.robot_program import robot_program
 

@@ -12,7 +12,7 @@ import mbcacq
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.plan import expand, load
-from mbcacq.report import report_from_result
+from mbcacq.report.write import report_from_result
 from mbcacq.workflow.calibrate_with_found import CalibratedWithFound, calibrate_with_found
 
 PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"

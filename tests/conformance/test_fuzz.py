@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mbcacq.errors import ConfigError
-from mbcacq.spheres import read_cloud
+from mbcacq.spheres.ply import read_cloud
 
 NAMES = sorted(targets())
 CUTS = st.tuples(

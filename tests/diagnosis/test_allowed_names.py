@@ -24,7 +24,7 @@ def small():
 
 def test_a_geared_joint_has_no_scale_and_what_looks_like_one_is_unmodelled_there(small):
     recorded = simulated.observe(small, 55, SCALE, drives=False)
-    found = diagnose(recorded)
+    found = diagnose(recorded, folds=2)
     assert [(e.name, e.where, e.depends_on) for e in found.effects] == [("unknown", ("A5",), "q5")]
     (said,) = [note for note in found.notes if note.startswith("joint_scale at A5")]
     assert "0.000" in said
@@ -35,7 +35,7 @@ def test_a_geared_joint_has_no_scale_and_what_looks_like_one_is_unmodelled_there
 
 
 def test_a_belt_permits_the_name(small):
-    found = diagnose(simulated.observe(small, 55, SCALE))
+    found = diagnose(simulated.observe(small, 55, SCALE), folds=2)
     assert [(e.name, e.where) for e in found.effects] == [("joint_scale", ("A5",))]
 
 

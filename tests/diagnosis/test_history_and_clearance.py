@@ -30,7 +30,7 @@ def test_a_sag_after_pauses_is_history_of_its_joint(medium_plan):
     def sag(context):
         return Displacements(joint=1.1e-4 * np.eye(6)[1] * (context.pause > 100.0)[:, None])
 
-    found = diagnose(simulated.observe(paused, 5, [sag]))
+    found = diagnose(simulated.observe(paused, 5, [sag]), folds=2)
 
     (effect,) = found.effects
     assert (effect.name, effect.where, found.verdict) == ("joint_settling", ("A2",), "explained")
@@ -46,7 +46,7 @@ def test_a_loose_mount_is_found_with_both_seats(medium_plan):
         frame[:, 6] = np.sign(context.flange_gravity @ line)[:, None] * half
         return Displacements(frame=frame)
 
-    found = diagnose(simulated.observe(medium_plan, 6, [loose]))
+    found = diagnose(simulated.observe(medium_plan, 6, [loose]), folds=2)
 
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("mount_clearance", ("mount",))
@@ -54,7 +54,7 @@ def test_a_loose_mount_is_found_with_both_seats(medium_plan):
 
 
 def test_joints_that_repeat_worse_than_their_data_sheet_are_not_the_measured_noise(medium_plan):
-    found = diagnose(simulated.observe(medium_plan, 7, joint_noise=8e-5))
+    found = diagnose(simulated.observe(medium_plan, 7, joint_noise=8e-5), folds=2)
 
     assert found.verdict not in ("none", "explained")
     assert any("worse than the data sheet" in note for note in found.notes)

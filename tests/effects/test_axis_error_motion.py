@@ -24,7 +24,7 @@ def blind(monkeypatch):
 )
 def test_what_an_external_axis_does_is_named_there_and_nothing_where_nothing_is(blind, cell, seed, motion):
     concealed, obs = blind.made(cell, seed)
-    named = [e for e in diagnose(obs).effects if e.name != "unknown"]
+    named = [e for e in diagnose(obs, folds=2).effects if e.name != "unknown"]
     assert [(e.name, e.where, list(e.parameters)) for e in named] == (
         [("axis_error_motion", (concealed.axis,), [f"{concealed.axis}.{motion}"])] if motion else []
     )

@@ -96,7 +96,7 @@ def test_a_camera_that_misreads_a_leaning_target_is_named():
 
 
 def test_a_true_orientation_is_not_suspected():
-    found = diagnose(seen(150, 4, lambda line: np.zeros(3), noise=(0.02, 2e-5, 3e-5)))
+    found = diagnose(seen(150, 4, lambda line: np.zeros(3), noise=(0.02, 2e-5, 3e-5)), folds=2)
 
     assert not found.effects
     assert found.verdict == "none"

@@ -86,7 +86,7 @@ def test_a_result_that_was_never_verified_says_so(solved, tmp_path):
 
 
 def test_the_report_of_a_simulated_result_begins_with_it(solved, tmp_path):
-    from mbcacq.report import report_from_result
+    from mbcacq.report.write import report_from_result
 
     result, observations, _, _ = solved
     page = report_from_result(result | {"simulated": True}, path=tmp_path / "a.html", observations=observations).read_text()

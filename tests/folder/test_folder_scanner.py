@@ -6,7 +6,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from dry_runs import plan_file, recorded
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.folder import FakeScannerProgram
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
@@ -89,7 +88,7 @@ def test_what_does_not_come_is_named(tmp_path, program, fault, error, sentence):
 
 def test_two_clouds_for_one_trigger_are_said(tmp_path, program):
     program.faults.set("twice")
-    with scanner(tmp_path, program, quiet_s=1.5) as device:
+    with scanner(tmp_path, program, quiet_s=0.3) as device:
         found = device.capture()
     assert "2 new clouds stand in the folder after one trigger (cloud_0002.ply); cloud_0001.ply was taken" in found.warnings[0]
 
@@ -132,13 +131,6 @@ def test_options_that_cannot_be_are_named(tmp_path, options, sentence):
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConnectError, match="there is no folder"):
         scanner(tmp_path / "clouds").connect()
-
-
-@pytest.mark.parametrize("name", ["folder.yaml", "folder-output.yaml"])
-def test_a_dry_run_takes_its_clouds_from_files(tmp_path, name):
-    """Triggered over the network, and by an output of the fake controller, which runs the programs of `controller-files`."""
-    plan = plan_file(tmp_path, lambda plan: plan.update(steps=plan["steps"][-1:]), name)
-    assert recorded(plan, tmp_path / "run").n_poses == 4
 
 
 @contextmanager

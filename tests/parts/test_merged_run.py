@@ -30,8 +30,8 @@ from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.report.page import render
 from mbcacq.report.sources.from_result import content_of
-from mbcacq.spheres import read_cloud
 from mbcacq.spheres.cloud_file import read_cloud_file
+from mbcacq.spheres.ply import read_cloud
 from mbcacq.workflow.export import export
 from mbcacq.workflow.merge_scans import merge_scans
 from mbcacq.workflow.part_scenes import scenes_as_observations, trials_on_parts
@@ -214,11 +214,11 @@ def test_a_bent_part_is_still_the_part(merged):
     assert found.beyond_U > 0.5
 
 
-@pytest.mark.parametrize("corners", [[], [[0, 0, 0], [1, 1, 0], [2, 2, 0]]])
-def test_a_mesh_without_a_surface_is_refused(tmp_path, corners):
+@pytest.mark.parametrize(("corners", "says"), [([], "is empty"), ([[0, 0, 0], [1, 1, 0], [2, 2, 0]], "holds no triangles with an area")])
+def test_a_mesh_without_a_surface_is_refused(tmp_path, corners, says):
     path = tmp_path / "a.obj"
     path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3\n" * bool(corners))
-    with pytest.raises(ConfigError, match="holds no triangles with an area"):
+    with pytest.raises(ConfigError, match=says):
         read_mesh(path)
 
 

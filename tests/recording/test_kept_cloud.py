@@ -11,7 +11,7 @@ from mbcacq.model.cell import Artefact
 from mbcacq.recording.rrd.kept_cloud import FURTHER_PER_BALL, FURTHER_REST, REST, kept_cloud
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.rrd.writer import Recorder
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 
 CENTRES = np.array([[0.0, 0, 0], [30, 0, 5], [0, 40, -5]])
 ARTEFACT = Artefact("mbc", "three balls", (1, 2, 7), CENTRES, np.full(3, 12.0))

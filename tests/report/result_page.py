@@ -9,7 +9,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
-from mbcacq.report import report_from_result
+from mbcacq.report.write import report_from_result
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
 CHAIN = Chain(

@@ -15,9 +15,9 @@ from mbcacq.cli.app import app
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.recording.run_folder.journal import Journal
-from mbcacq.report import report_from_result, write_diagnosis_page
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.run_folder import read_run_info
+from mbcacq.report.write import report_from_result, write_diagnosis_page
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from made_up import devices, diagnosis, motion, pictures
 from result_page import make_observations, make_result
 
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.report import report_from_result, write_diagnosis_page
+from mbcacq.report.write import report_from_result, write_diagnosis_page
 
 pytestmark = pytest.mark.skipif(program() is None, reason="no Chromium is installed (apt-get install chromium)")
 

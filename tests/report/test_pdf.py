@@ -11,8 +11,8 @@ from result_page import make_observations, make_result
 from mbcacq.cli.report import command
 from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure
-from mbcacq.report import report_from_result
 from mbcacq.report.charts.static_svg import static_svg
+from mbcacq.report.write import report_from_result
 
 
 @pytest.fixture(scope="module")

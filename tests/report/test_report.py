@@ -16,12 +16,12 @@ from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
-from mbcacq.report import report_from_result
 from mbcacq.report.content import Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_motion import motion_pictures
 from mbcacq.report.sources.run_folder import read_run_identity
 from mbcacq.report.verdict import beyond_expected_sentence, one_sign
+from mbcacq.report.write import report_from_result
 
 
 def headline(verdict):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mbcacq.errors import DeviceFault
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 
 MBC = clouds.artefact()
 

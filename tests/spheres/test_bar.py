@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mbcacq.errors import DeviceFault
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 
 BAR = clouds.make(np.array([[-240, 0, 0], [240, 0, 0.0]]), diameter=25.0, name="bar", first=9)
 SHORT = clouds.make(np.array([[-25, 0, 0], [25, 0, 0.0]]), diameter=25.0, name="bar", first=9)

@@ -6,8 +6,8 @@ import pytest
 from mbcacq.errors import ConfigError
 from mbcacq.exports.clouds import write_cloud
 from mbcacq.files.open3d_library import open3d
-from mbcacq.spheres import read_cloud
 from mbcacq.spheres.cloud_file import CloudFile, in_mm, looks_small, read_cloud_file
+from mbcacq.spheres.ply import read_cloud
 
 ROWS = [(1.5, -2.0, 300.25, 40000, 65535), (2.5, 0.0, 301.0, 1, 0), (-3.5, 1.0, 299.5, 500, 256)]
 TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<u2"), ("red", "<u2")])

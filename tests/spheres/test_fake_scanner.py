@@ -4,7 +4,7 @@ import clouds
 import numpy as np
 import pytest
 
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 
 world = pytest.importorskip("mbcacq_fakes.world.scanner")
 

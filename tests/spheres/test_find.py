@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from mbcacq.errors import ConfigError, DeviceFault
-from mbcacq.spheres import SphereOptions, find_spheres
+from mbcacq.spheres.extract import find_spheres
+from mbcacq.spheres.found import SphereOptions
 
 MBC = clouds.artefact()
 TURN = clouds.rotation([1, 2, 0.5], 18)

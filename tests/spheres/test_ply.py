@@ -12,7 +12,7 @@ from mbcacq.files.open3d_library import open3d
 from mbcacq.model.cell import Station
 from mbcacq.plan import load
 from mbcacq.recording.datasets.scan_folder import centres_from_scans, write_ply
-from mbcacq.spheres import centres_from_ply, read_cloud
+from mbcacq.spheres.ply import centres_from_ply, read_cloud
 
 MBC = clouds.artefact()
 

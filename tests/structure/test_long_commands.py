@@ -128,7 +128,7 @@ def test_the_table_of_challenges_fits_eighty_columns(monkeypatch, capsys):
 @pytest.mark.parametrize(
     "modules",
     [
-        ["mbcacq.workflow.run", "mbcacq.recording.rrd.writer", "mbcacq.spheres", "mbcacq_fakes.cell.fake_cell"],
+        ["mbcacq.workflow.run", "mbcacq.recording.rrd.writer", "mbcacq.spheres.extract", "mbcacq_fakes.cell.fake_cell"],
         ["mbcacq.workflow.calibrate", "mbcacq.workflow.diagnose", "mbcacq.workflow.report", "mbcacq.recording.viewer.open_viewer"],
     ],
     ids=["run", "evaluate"],

@@ -75,12 +75,14 @@ def test_registers_that_another_client_writes_are_named(controller):
         ({"speed_fraction": 0.0}, "has its speed slider at 0 %"),
     ],
 )
-def test_a_controller_that_is_not_ready_says_why(state, sentence):
-    with (
-        FakeUrController(start_deg=HOME_DEG, realtime=True, **state) as controller,  # in lock-step it would send thousands of packages
-        pytest.raises(ConnectError, match=sentence),
-    ):
-        arm(controller, connect_timeout_s=2.0, silence_s=2.0).connect()
+def test_a_controller_that_is_not_ready_says_why(state, sentence, monkeypatch):
+    """The time to become ready is over once it has sent its state."""
+    with FakeUrController(start_deg=HOME_DEG, realtime=True, **state) as controller:  # in lock-step it would send thousands of packages
+        robot = arm(controller)
+        wait = robot._changed.wait_for
+        monkeypatch.setattr(robot._changed, "wait_for", lambda _, timeout: wait(lambda: robot._latest is not None, timeout))
+        with pytest.raises(ConnectError, match=sentence):
+            robot.connect()
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_five_days_with_a_cell(desk, tmp_path, finished_run):
     untouched = plan.read_text(encoding="utf-8")
     plan.write_text(untouched + BUMPED, encoding="utf-8")
     code, said = typed(desk, check)
-    assert (code, "the cell changed: mount" in said, proposed(said)) == (11, True, ["mbcacq run plans/kuka.yaml --dry-run"])
+    assert (code, "The cell changed: mount" in said, proposed(said)) == (11, True, ["mbcacq run plans/kuka.yaml --dry-run"])
 
     # Day 4: a second cell beside it has a history of its own.
     plan.write_text(untouched, encoding="utf-8")

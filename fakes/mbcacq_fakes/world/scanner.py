@@ -12,8 +12,6 @@ from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.rays import Grid
 from mbcacq_fakes.world.surfaces import NO_BALL, Scene, Surfaces
 
-__all__ = ["NO_BALL", "FringeScanner", "Optics", "Points", "Scene"]
-
 
 @dataclass(frozen=True)
 class Optics:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, pairs, points_and_directions, propagate
+from mbcacq.calibration.staged.pair_distances import Measured, PairDistances, points_and_directions, propagate
+from mbcacq.calibration.staged.pair_distances import pairs as pairs
 from mbcacq.estimation.options import Noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -19,7 +20,6 @@ from mbcacq.model.observations import Observations
 
 MOST_STEPS, SETTLED = 50, 1e-9  # steps, and the share of the cost that the last of them still gains
 UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of the largest, below which a direction counts as unobservable
-__all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,8 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
                 "and orientations, or turn the scanner about two axes by 20° and more at a position"
             )
         stage = "hand-eye from fixed points (no translation and orientation phases recorded)"
-        return found, [{"stage": stage, "rms_virtual_point_mm": point_spread(obs, found)}]
+        spread = ball_spread(obs, CellState(obs.cell.robot.chain, found, np.zeros((0, 4, 4)), obs.cell.ball_centres))
+        return found, [{"stage": stage, "rms_virtual_point_mm": rms(spread)}]
     T, virtual = virtual_point(obs, obs.phase == "translation")
     R = rotation_from_translations(T, virtual)
     T_turned, virtual_turned = virtual_point(obs, obs.phase == "orientation")
@@ -105,11 +106,6 @@ def virtual_point(obs: Observations, which: np.ndarray) -> tuple[np.ndarray, np.
     rows = rows[np.isin(chosen.pose[rows], whole)]
     points = chosen.xyz[rows].reshape(len(whole), VIRTUAL_BALLS, 3)
     return obs.cell.robot.chain.flange(chosen.q[whole]), points.mean(axis=1)  # Eq. 5
-
-
-def point_spread(obs: Observations, X: np.ndarray) -> float:
-    """rms (mm) of the balls about their mean places in the base, with the nominal arm."""
-    return rms(ball_spread(obs, CellState(obs.cell.robot.chain, X, np.zeros((0, 4, 4)), obs.cell.ball_centres)))
 
 
 def _spread(T: np.ndarray, virtual: np.ndarray) -> float:

@@ -34,18 +34,17 @@ class MeasuredInformation:
         """The same information of the first g parameters and one block of six of a station alone, all other stations at their best places.
         Rows of one station say nothing about another, so their blocks are independent, given the first g.
         """
-        N_each, B_each, products_each = self._eliminated(g)
+        N_others, B_others, products_others = self._eliminated(g)
         own = (block.start - g) // SIX
         keep = np.r_[np.arange(g), np.arange(block.start, block.stop)]
         N, B = self.N[np.ix_(keep, keep)].copy(), self.B[keep].copy()
-        others = np.arange(len(N_each)) != own
-        N[:g, :g] -= N_each[others].sum(axis=0)
-        B[:g] -= B_each[others].sum(axis=0)
-        return MeasuredInformation(N, B, self.products - products_each[others].sum(axis=0))
+        N[:g, :g] -= N_others[own]
+        B[:g] -= B_others[own]
+        return MeasuredInformation(N, B, self.products - products_others[own])
 
-    def _eliminated(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """By how much information of the first g parameters (S, g, g), (S, g, K) and of the effects (S, K, K) is smaller with the place of
-        each station free.
+    def _eliminated(self, g: int) -> tuple[np.ndarray, ...]:
+        """By how much information of the first g parameters (S, g, g), (S, g, K) and of the effects (S, K, K) is smaller with the places of
+        all stations but each free.
         """
         if g not in self._by_station:
             across = self.N[g:, :g].reshape(-1, SIX, g)
@@ -56,11 +55,12 @@ class MeasuredInformation:
             solved = np.linalg.solve(own, np.concatenate([across, effects], axis=2))
             toward = np.swapaxes(across, 1, 2)
             whole = toward @ solved
-            self._by_station[g] = whole[:, :, :g], whole[:, :, g:], np.swapaxes(effects, 1, 2) @ solved[:, :, g:]
+            each = whole[:, :, :g], whole[:, :, g:], np.swapaxes(effects, 1, 2) @ solved[:, :, g:]
+            self._by_station[g] = tuple(one.sum(axis=0) - one for one in each)
         return self._by_station[g]
 
     @cached_property
-    def _by_station(self) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _by_station(self) -> dict[int, tuple[np.ndarray, ...]]:
         return {}
 
     @classmethod

@@ -227,10 +227,6 @@ class EvidenceFit:
     cut_short: bool = False
     linear: Any = None
 
-    def log_prior_of(self, member: Member, hypothesis: Hypothesis) -> float:
-        """Log prior probability of an effect next to the others of a set."""
-        return self.prior.log_probability(member.candidate, [m.candidate for m in hypothesis.members if m is not member])
-
     @property
     def significant(self) -> bool:
         return self.log_e_value > self.least

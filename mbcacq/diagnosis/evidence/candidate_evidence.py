@@ -24,9 +24,7 @@ def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candida
 
 def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> Scored:
     """One candidate beyond geometry and what the problem is conditioned on."""
-    if candidate.components:
-        return scanned_candidate(projected, candidate)
-    return fixed_candidates(projected, [candidate])[0]
+    return evidence_of_candidates(projected, [candidate])[0]
 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:

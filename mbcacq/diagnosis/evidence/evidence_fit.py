@@ -85,7 +85,7 @@ def compared(
     alternatives, narrow, staged: of the search (see there).
     """
     blocks = UnmodelledEffects(problem.design_blocks)
-    prior = SetPrior.of(problem.candidates, blocks.locations, problem.given.labels)
+    prior = SetPrior.of(problem.candidates, len(blocks.design_blocks.locations), problem.given.labels)
     search = PoseSearch(
         candidates=problem.candidates,
         prior=prior,

@@ -26,10 +26,6 @@ class UnmodelledEffects:
     design_blocks: DesignBlocks
     _map: EvidenceMap | None = None
 
-    @property
-    def locations(self) -> int:
-        return len(self.design_blocks.locations)
-
     def map(self, projected: CandidateScoring) -> EvidenceMap:
         if self._map is None or self._map.projected.Q is not projected.Q:
             self._map = EvidenceMap(projected, self.design_blocks.groups)

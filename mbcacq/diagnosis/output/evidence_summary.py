@@ -76,8 +76,8 @@ def compared_effect(sets: EvidenceFit, hypothesis: Hypothesis, member: Member, c
     with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number
         absent, spread = (candidate.parameters(size, before, member.hyper) for size in (np.zeros(candidate.k), c))
     prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items() if name in absent}
-    parameters, log_prior = candidate.parameters(c, v, member.hyper), sets.log_prior_of(member, hypothesis)
-    return ComparedEffect(candidate.name, candidate.where, parameters, tried, prior, log_prior)
+    log_prior = sets.prior.log_probability(candidate, [m.candidate for m in hypothesis.members if m is not member])
+    return ComparedEffect(candidate.name, candidate.where, candidate.parameters(c, v, member.hyper), tried, prior, log_prior)
 
 
 def untried_in_words(problem: DiagnosisProblem, fit: EvidenceFit) -> list[str]:

@@ -49,24 +49,18 @@ def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found:
     """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found; candidates: of each
     effect at a location the variants of fewest coefficients.
     """
-    return [limit for candidate in candidates for limit in limits_of_candidate(problem, candidate, candidates, found)]
-
-
-def limits_of_candidate(here: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
-    """Limits of one candidate. few: the candidates that may confound it."""
-    there = {m.candidate.location for m in found}
-    orders = [m.hyper for m in found if m.candidate.location == candidate.location and m.hyper is not None]
-    if candidate.location in there and not (candidate.periodic and candidate.several):
-        return []
-    beside = with_confounders(here, candidate, [c for c in few if c.location not in there])
-    return limits_of_bands(beside, candidate, bands(candidate, orders))
+    there, out = {m.candidate.location for m in found}, list[BandLimit]()
+    others = [c for c in candidates if c.location not in there]
+    for c in candidates:
+        if c.location not in there or (c.periodic and c.several):
+            orders = [m.hyper for m in found if m.candidate.location == c.location and m.hyper is not None]
+            out += limits_of_bands(with_confounders(problem, c, others), c, bands(c, orders))
+    return out
 
 
 def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Sequence[Candidate]) -> CandidateScoring:
     """The problem with everything free that an effect is confused with: other effects at its location, and what every arm has."""
     beside = confounders(candidate, others)
-    if not beside:
-        return problem
     key = tuple((other.key, value) for other, value in beside)
     blocks = ((problem.block(other, value), largest(other) ** -2.0) for other, value in beside)
     return problem.known_beside.last("confounders", key, lambda: problem.conditioned_on(list(blocks)))

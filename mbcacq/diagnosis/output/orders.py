@@ -168,7 +168,8 @@ def stated_orders(
     if parts is not None:
         in_parts, lines = seen_in_parts(lines, parts.values.get(f"{at}.order", ()), resolution)
     least = 1 if parts is None else parts.parts
-    known = [count >= least and is_determined(line) for count, line in zip(in_parts, lines, strict=True)]
+    few_and_sharp = [len(line) <= MOST_PEAKS and all(K * peak.sigma <= SHARPEST for peak in line) for line in lines]
+    known = [count >= least and sure for count, sure in zip(in_parts, few_and_sharp, strict=True)]
     if parts is not None:
         apart = np.abs(orders[:, None] - orders) + np.diag(np.full(len(orders), np.inf))
         alone = (apart.min(axis=1) > CROWDED * resolution) & (orders >= resolution)  # a period and more was seen
@@ -211,11 +212,6 @@ def seen_in_parts(
         if len(found) > 1:
             line[0] = replace(line[0], sigma=max(line[0].sigma, float(jackknife(np.array(found)[:, None])[0])))
     return count, out
-
-
-def is_determined(line: Sequence[OrderPeak]) -> bool:
-    """Whether a few sharp peaks are all that the order of a line may be."""
-    return len(line) <= MOST_PEAKS and all(K * peak.sigma <= SHARPEST for peak in line)
 
 
 def of_lines(

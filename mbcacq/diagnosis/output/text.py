@@ -368,14 +368,9 @@ def size_of_shape(effect: EffectFound, shape: ResponseShape) -> str:
     return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 
-def phase_is_undetermined(name: str, std: float) -> bool:
-    """A standard deviation of more than a quarter of a period: the value says nothing, and it would be read as if it did."""
-    return name.endswith("phase_deg") and std > LARGEST_PHASE_STD_DEG
-
-
 def reported(name: str, estimate: ParameterEstimate) -> str:
     """A parameter with its expanded uncertainty; a phase that has no value as such, where it has one in no harmonic."""
-    if all(phase_is_undetermined(name, s) for s in estimate.components[1]):
+    if name.endswith("phase_deg") and all(s > LARGEST_PHASE_STD_DEG for s in estimate.components[1]):
         return f"{split_unit(name)[0]} {NOT_DETERMINED}"
     return parameter_in_words(name, estimate)
 

@@ -35,10 +35,9 @@ def candidates(context: Context) -> list[Candidate]:
     components = range(6) if context.scanner_on_flange or context.obs.rotation is not None else range(3)
     typical = np.array([0.03] * 3 + [1e-4] * 3)[: len(components)]
     out = []
-    for azimuth, elevation in dict.fromkeys([*LINES, *_lines_of_residual(context)]):
+    for azimuth, elevation in dict.fromkeys([*LINES, *lines_of_residual(context)]):
         cause = f"gravity_along_{context.tags[-1]}_{azimuth}_{elevation}"
-        along = context.value(cause)
-        values = np.array([at for at in FALLS if min(np.sum(along > at), np.sum(along < at)) >= FEWEST])
+        values = places_to_fall(context.value(cause))
         if len(values):
             out.append(_along(context, cause, components, values, typical))
     if not out:
@@ -46,7 +45,12 @@ def candidates(context: Context) -> list[Candidate]:
     return out
 
 
-def _lines_of_residual(context: Context) -> list[tuple[int, int]]:
+def places_to_fall(along: np.ndarray) -> np.ndarray:
+    """Components of gravity along a line at which poses, by theirs (P,), may change seats."""
+    return np.array([at for at in FALLS if min(np.sum(along > at), np.sum(along < at)) >= FEWEST])
+
+
+def lines_of_residual(context: Context) -> list[tuple[int, int]]:
     """Lines by whose seats the mean residual of a pose varies most, beyond what varies with gravity evenly."""
     if not context.scanner_on_flange:
         return []

@@ -19,9 +19,10 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.template import filled
 from mbcacq.plan.controller_joints import pulses
 from mbcacq.plan.planned import LoadedPlan
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, PlaceArtefact, Trigger, motion_program, plain
-
-__all__ = ["DIALECTS", "ExposeAt", "MotionProgram", "MoveTo", "PlaceArtefact", "Trigger", "motion_program", "written"]
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain
+from mbcacq.plan.programs.motion_program import PlaceArtefact as PlaceArtefact
+from mbcacq.plan.programs.motion_program import Trigger as Trigger
+from mbcacq.plan.programs.motion_program import motion_program as motion_program
 
 LANGUAGES = Path(__file__).parent / "languages"
 

@@ -23,7 +23,7 @@ from mbcacq.model.yaml_source import LARGE, parse
 from mbcacq.quantities import from_degrees
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.open_format import validate
-from mbcacq.spheres import find_spheres
+from mbcacq.spheres.extract import find_spheres
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9

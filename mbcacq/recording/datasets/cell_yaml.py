@@ -16,13 +16,12 @@ from mbcacq.model.cell import Cell, RobotModel
 from mbcacq.model.cell_schema import CellSpec, RobotSpec
 from mbcacq.model.shipped import named_file
 from mbcacq.model.yaml_source import LARGE, Path_, YamlFile, parse, read
-from mbcacq.recording.datasets.cell_writer import cell_to_yaml, robot_to_yaml
+from mbcacq.recording.datasets.cell_writer import cell_to_yaml as cell_to_yaml
+from mbcacq.recording.datasets.cell_writer import robot_to_yaml as robot_to_yaml
 from mbcacq.recording.datasets.open_format import validate
 
 Fault = tuple[Path_, str]  # path of keys and indices in the YAML, and what is wrong there
 CELL = "cell description"
-
-__all__ = ["cell_to_yaml", "parse_cell", "read_cell", "robot_to_yaml"]
 
 
 def read_cell(path: Path) -> tuple[Cell, str]:

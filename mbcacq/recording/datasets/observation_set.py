@@ -26,15 +26,14 @@ from mbcacq.recording.datasets.cell_yaml import read_cell
 from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange_group, target_columns
 from mbcacq.recording.datasets.columns_of_joints import headings, read_joints
 from mbcacq.recording.datasets.csv_columns import CENTRES, FLANGE_VELOCITY, QUATERNION, XYZ, poses_schema, refuse_radians, rotations
-from mbcacq.recording.datasets.observation_writer import IMAGES, write_observation_set
+from mbcacq.recording.datasets.observation_writer import IMAGES
+from mbcacq.recording.datasets.observation_writer import write_observation_set as write_observation_set
 from mbcacq.recording.datasets.scan_folder import centres_from_scans
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import complete, wide_centres
 
 MAX_IMAGES = 1 << 26  # bytes
 ANEW = "make the set anew with mbcacq data new"
-
-__all__ = ["read_observation_set", "write_observation_set"]
 
 
 def read_observation_set(folder: Path | str) -> Observations:

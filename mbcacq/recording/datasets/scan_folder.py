@@ -10,8 +10,10 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.files.atomic_write import write_file
 from mbcacq.files.stated_unit import in_words
 from mbcacq.model.cell import Artefact, Cell
-from mbcacq.spheres import centres_from_ply, find_spheres, ply, read_cloud
+from mbcacq.spheres import ply
 from mbcacq.spheres.cloud_file import UNITS_MM
+from mbcacq.spheres.extract import find_spheres
+from mbcacq.spheres.ply import centres_from_ply, read_cloud
 
 TRIED = 5  # clouds without a ball that are looked at in other units
 

@@ -76,18 +76,23 @@ class FakeScannerProgram(TcpServer):
     def _save(self) -> None:
         if self.faults.get("no_cloud") or self.faults.get("touch_old"):
             return
-        for _ in range(2 if self.faults.get("twice") else 1):
-            frame = self._source(0.0)
-            points = frame.xyz.reshape(-1, 3)
-            self.saved += 1
-            suffix = "bak" if self.faults.get("another_name") else "ply"
-            path = self._folder / f"cloud_{self.saved:04d}.{suffix}"
-            write_ply(path.with_suffix(".writing"), points[np.isfinite(points).all(axis=1)], simulated=True)
-            data = path.with_suffix(".writing").read_bytes()
-            path.with_suffix(".writing").unlink()
-            self._write(path, data)
+        count = 2 if self.faults.get("twice") else 1  # two stand there at once, however slow the disk is
+        for path in [self._written_aside() for _ in range(count)]:
+            self._put(path.with_suffix(".bak" if self.faults.get("another_name") else ".ply"), path)
 
-    def _write(self, path: Path, data: bytes) -> None:
+    def _written_aside(self) -> Path:
+        points = self._source(0.0).xyz.reshape(-1, 3)
+        self.saved += 1
+        path = self._folder / f"cloud_{self.saved:04d}.writing"
+        write_ply(path, points[np.isfinite(points).all(axis=1)], simulated=True)
+        return path
+
+    def _put(self, path: Path, aside: Path) -> None:
+        if self.faults.get("twice"):
+            aside.replace(path)
+            return
+        data = aside.read_bytes()
+        aside.unlink()
         if self.faults.get("empty"):
             path.touch()
         elif self.faults.get("half"):

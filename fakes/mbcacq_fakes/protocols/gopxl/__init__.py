@@ -1,5 +1,4 @@
 """A fake LMI sensor that runs GoPxL: control over MessagePack, data over GDP, discovery."""
 
-from mbcacq_fakes.protocols.gopxl.server import FakeGoPxL, FakeGoPxLOptions
-
-__all__ = ["FakeGoPxL", "FakeGoPxLOptions"]
+from mbcacq_fakes.protocols.gopxl.server import FakeGoPxL as FakeGoPxL
+from mbcacq_fakes.protocols.gopxl.server import FakeGoPxLOptions as FakeGoPxLOptions

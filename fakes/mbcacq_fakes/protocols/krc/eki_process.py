@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
+from mbcacq_fakes.protocols.krc.controller_child import KukaController, serve
 from mbcacq_fakes.protocols.krc.eki_channel import EkiChannel
 from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_fakes.protocols.krc.eki_functions import EkiFunctions

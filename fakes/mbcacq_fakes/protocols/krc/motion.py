@@ -6,16 +6,15 @@ from collections.abc import Callable, Sequence
 from math import sqrt
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from mbcacq_fakes.world.rigid import invert, rigid
+from mbcacq_fakes.world.rigid import invert, rigid, rotation_about
 
 _RAMP_S = 0.3  # to an axis' largest speed at 100 % acceleration
 
 
 def frame(values: Sequence[float]) -> np.ndarray:
     """X, Y, Z, A, B, C (mm, deg) -> (4, 4); R = Rz(A) Ry(B) Rx(C)."""
-    return rigid(Rotation.from_euler("ZYX", values[3:], degrees=True).as_matrix(), np.array(values[:3], dtype=float))
+    return rigid(np.linalg.multi_dot(rotation_about(np.eye(3)[::-1], np.radians(values[3:]))), np.array(values[:3], dtype=float))
 
 
 def angles(T: np.ndarray) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ from typing import Any
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.idle import idle_s
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.protocols.krc.controller_process import KukaController, serve
+from mbcacq_fakes.protocols.krc.controller_child import KukaController, serve
 from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.session import AXES, OPERATOR, PC_STOP, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import FAULTS, JUMP_DEG, KrcSettings
