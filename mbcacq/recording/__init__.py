@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import finish_set
-from mbcacq.model.joint_resolution import with_joint_step
-from mbcacq.recording.run_folder.latest import refuse_plan
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
@@ -45,10 +43,14 @@ def load_observations(path: Path | str) -> Observations:
     RecordingError
         The recording is torn.
     """
+    from mbcacq.model.joint_resolution import with_joint_step
+
     return with_joint_step(_load_observations(Path(path)))
 
 
 def _load_observations(path: Path) -> Observations:
+    from mbcacq.recording.run_folder.latest import refuse_plan
+
     if not path.exists():
         raise ConfigError(f"{path} does not exist; give {ACCEPTED}")
     refuse_plan(path)
