@@ -191,7 +191,7 @@ def workspace_errors(found, truth, postures: int = 100) -> tuple[np.ndarray, np.
     low, high = found.state.chain.drawn_between(obs.cell.robot.limits)
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     xyz = np.tile(obs.xyz.mean(axis=0), (postures, 1))
-    points = found.to_base(q, xyz)
+    points = found.placed(q, xyz)
     off = points - se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
     rigid = np.concatenate([np.tile(np.eye(3), (postures, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
     rest = np.eye(3 * postures) - rigid @ np.linalg.pinv(rigid)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.expected_view import predicted_centres
 from mbcacq.acquisition.mover import Mover
 from mbcacq.devices import (
     ConfigError,
@@ -22,7 +24,6 @@ from mbcacq.devices import (
     ProtocolError,
     Scanner,
 )
-from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.motion_limits import sweep_limits
 from mbcacq.plan.schema import Sweep
@@ -82,7 +83,4 @@ def _breaks_off() -> Iterator[None]:
 def expected_ball(loaded: LoadedPlan, pose: PlannedPose) -> np.ndarray:
     """(3,) mm in the scanner's frame: where the ball is expected in the middle of the sweep."""
     assert pose.sweep is not None, "it is asked for a sweep"
-    cell, artefact = loaded.cell, loaded.cell.artefact(pose.artefact)
-    centre = artefact.centres[artefact.ball_ids.index(pose.balls[0])]
-    T = cell.robot.chain.flange(((pose.q + pose.sweep) / 2)[None])[0] @ cell.T_flange_scanner
-    return se3.apply(se3.inverse(T) @ cell.station(pose.station).planned_pose, centre)
+    return predicted_centres(loaded.cell, replace(pose, q=(pose.q + pose.sweep) / 2))[0]

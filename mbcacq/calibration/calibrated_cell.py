@@ -25,7 +25,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.figure import Figure
 from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import axis_of_tag
+from mbcacq.model.cell import TARGET_IN_BASE, axis_of_tag
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json, sealed_text, unsealed
 from mbcacq.model.observations import Observations
 
@@ -41,17 +41,38 @@ class HasModel(Protocol):
 class CalibratedCell(CellEstimate):
     """A calibrated cell, whether it was just computed or read from result.json. Lengths mm, angles rad.
 
-    Attributes ---------- robot : str Name of the arm. nominal : Chain The arm as described. limits : ndarray or None (n, 2) rad, smallest
-    and largest angle of each axis; None if the result does not have them. state : CellState The arm with its errors, T_flange_scanner
-    (4, 4), T_base_station (S, 4, 4), balls (K, 3) mm. preliminary : CellState Nominal arm, hand-eye fitted alone. stations, ball_ids :
-    tuple Ids of the S stations and the K balls. layout : ParameterLayout Names and freedom of the parameters. covariance : ndarray (g, g)
-    of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame). noise : Noise Noise of a
-    centre and of the joints. effects : EffectModel or None What the arm does beyond its geometry, free or held: parametric, unmodelled, and
-    the smooth discrepancy of the joints. simulated : bool Whether a fake cell or a model made the data, and no real arm was measured. extra
-    : mapping Further content of result.json, such as warnings; all of it if the cell was read from a file. own_fit : ObservationFit or None
-    The observations that it was calibrated from; None if it was read from result.json. See ``fit``. own_adjustment : Adjustment or None
-    The converged adjustment, while the cell is being calibrated; None afterwards. See ``adjustment``. calibrate_again : callable or None
-    Calibrates observations under options with a model of effects, as this cell was calibrated.
+    Attributes
+    ----------
+    robot : str
+        Name of the arm.
+    nominal : Chain
+        The arm as described.
+    limits : ndarray or None
+        (n, 2) rad, smallest and largest angle of each axis; None if the result does not have them.
+    state : CellState
+        The arm with its errors, T_flange_scanner (4, 4), T_base_station (S, 4, 4), balls (K, 3) mm.
+    preliminary : CellState
+        Nominal arm, hand-eye fitted alone.
+    stations, ball_ids : tuple
+        Ids of the S stations and the K balls.
+    layout : ParameterLayout
+        Names and freedom of the parameters.
+    covariance : ndarray
+        (g, g) of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame).
+    noise : Noise
+        Noise of a centre and of the joints.
+    effects : EffectModel or None
+        What the arm does beyond its geometry, free or held: parametric, unmodelled, and the smooth discrepancy of the joints.
+    simulated : bool
+        Whether a fake cell or a model made the data, and no real arm was measured.
+    extra : mapping
+        Further content of result.json, such as warnings; all of it if the cell was read from a file.
+    own_fit : ObservationFit or None
+        The observations that it was calibrated from; None if it was read from result.json. See ``fit``.
+    own_adjustment : Adjustment or None
+        The converged adjustment, while the cell is being calibrated; None afterwards. See ``adjustment``.
+    calibrate_again : callable or None
+        Calibrates observations under options with a model of effects, as this cell was calibrated.
     """
 
     robot: str
@@ -65,6 +86,34 @@ class CalibratedCell(CellEstimate):
     own_fit: ObservationFit | None = None
     own_adjustment: Adjustment | None = None
     calibrate_again: Callable[..., CalibratedCell] | None = None
+
+    def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Scanner points in the base frame.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3) ndarray
+            Points in the base frame, mm.
+
+        Raises
+        ------
+        ConfigError
+            The instrument does not move: it stands in the base.
+        """
+        measurement = self.extra.get("measurement") if self.own_fit is None else self.own_fit.observations.cell.measurement
+        if measurement == TARGET_IN_BASE:
+            raise ConfigError(
+                "the target is on the flange and the instrument stands in the base, so joint angles do not say where its points are; "
+                "its place is cell.state.T_base_station"
+            )
+        return self.placed(q, xyz)
 
     @classmethod
     def fitted(

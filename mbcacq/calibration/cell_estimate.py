@@ -61,15 +61,15 @@ class CellEstimate:
         """
         return self.effects.frames(self.state.chain, q) if self.effects else self.state.chain.frames(q)
 
-    def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Scanner points in the base frame.
+    def placed(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Points that move with the flange, in the base frame.
 
         Parameters
         ----------
         q : (P, n) ndarray
             Joint angles at which each point was seen, rad.
         xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
+            Points in the frame of what is on the flange, mm: of the scanner, or of a target.
 
         Returns
         -------
@@ -199,7 +199,7 @@ class CellEstimate:
         tuple of ndarray
             Unit vectors (P, 3) in the base frame; errors (P, r) in mm, for each of r causes of unit variance.
         """
-        pa, pb = self.to_base(qa, a), self.to_base(qb, b)
+        pa, pb = self.placed(qa, a), self.placed(qb, b)
         u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
         return u, np.einsum("pi,pig->pg", u, self.point_errors(qb, b) - self.point_errors(qa, a))
 

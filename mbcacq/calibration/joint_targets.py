@@ -42,7 +42,7 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
     best, lowest = q.copy(), np.full(len(q), np.inf)
     for _ in range(ROUNDS):
         F = cell.frames(q)
-        twist = error_twist(F[:, -1], goals)
+        twist = se3.coordinates(se3.inverse(F[:, -1]) @ goals)  # local, to first order in the rotation
         size = np.linalg.norm(twist * weight, axis=1)
         better = size < lowest
         best[better], lowest[better] = q[better], size[better]
@@ -59,19 +59,13 @@ def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, li
         largest = np.abs(step).max(axis=1, keepdims=True)
         step = step * np.minimum(1.0, LARGEST_STEP / np.maximum(largest, 1e-12))
         q = np.clip(q + step, low, high)
-    left = error_twist(cell.frames(best)[:, -1], goals)
+    left = se3.coordinates(se3.inverse(cell.frames(best)[:, -1]) @ goals)
     error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
     beyond = (start < low - ROUNDED) | (start > high + ROUNDED)  # a turn back it is the same place, by another motion
     reached = (error_mm < REACHED_MM) & (error_rad < REACHED_RAD) & ~beyond.any(axis=1)
     at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)
     reasons = tuple("" if ok else _reason(cell, *ends) for ok, *ends in zip(reached, at_limit, beyond, strict=True))
     return JointTargets(best, error_mm, error_rad, reached, reasons)
-
-
-def error_twist(T: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """(P, 6) local twists (mm, rad) that lead from the frames T (P, 4, 4) to the goals, to first order in the rotation."""
-    apart = se3.inverse(T) @ goals
-    return np.concatenate([apart[:, :3, 3], se3.rotation_log(apart[:, :3, :3])], axis=1)
 
 
 def _reason(cell: CalibratedCell, at_limit: np.ndarray, beyond: np.ndarray) -> str:

@@ -165,19 +165,13 @@ def with_length_uncertainty(result: CalibratedCell) -> CalibratedCell:
     scaled = replace(obs, xyz=(1 + step) * obs.xyz, cell=replace(obs.cell, artefacts=artefacts))
     larger = adjust_recording(scaled, replace(result.fit.options, refuse=False)).state
     by_scale = np.zeros(len(result.names))
-    twist = _twist(result.state.T_flange_scanner, larger.T_flange_scanner) * sigma / step
+    twist = se3.coordinates(se3.inverse(result.state.T_flange_scanner) @ larger.T_flange_scanner) * sigma / step
     for name, value in zip(TWIST, twist, strict=True):
         if name in result.names:
             by_scale[result.names.index(name)] = value
     stations = result.fit.station_covariance.copy()
     for s in np.flatnonzero(np.einsum("sii->s", stations) > 0):
-        moved = _twist(result.state.T_base_station[s], larger.T_base_station[s]) * sigma / step
+        moved = se3.coordinates(se3.inverse(result.state.T_base_station[s]) @ larger.T_base_station[s]) * sigma / step
         stations[s] += np.outer(moved, moved)
     fit = replace(result.fit, station_covariance=stations)
     return replace(result, covariance=result.covariance + np.outer(by_scale, by_scale), own_fit=fit)
-
-
-def _twist(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """(6,) mm and rad behind ``before`` that leads to ``after``."""
-    off = se3.inverse(before) @ after
-    return np.r_[off[:3, 3], se3.rotation_log(off[:3, :3])]

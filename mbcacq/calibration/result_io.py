@@ -116,9 +116,10 @@ def read_result(path: Path, *, any_of_them: bool = False) -> dict[str, Any]:
         text = file.read_bytes()
     except OSError as error:
         cure = "give a result.json, or the run folder that holds one"
-        if path.is_dir() and (path / "run.rrd").exists():
-            calibrated = command_line("calibrate", path, "--out", file)
-            cure = f"this recording is not calibrated yet: {calibrated}, or {command_line('run', '--resume', path)} if it was interrupted"
+        if path.is_dir() and ((path / "run.rrd").exists() or (path / "cell.yaml").exists()):
+            cure = f"this recording is not calibrated yet: {command_line('calibrate', path, '--out', file)}"
+            if (path / "run.rrd").exists():
+                cure += f", or {command_line('run', '--resume', path)} if it was interrupted"
         raise ConfigError(f"cannot read {file}: {error.strerror}; {cure}") from error
     content = result_of_one(read_json(text, str(file), CURE), number, file, any_of_them=any_of_them)
     result_of(content, str(file))

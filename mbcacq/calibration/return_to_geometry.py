@@ -63,12 +63,6 @@ def _changes(
     moved = [se3.inverse(root) @ base @ root, *(se3.inverse(links[0]) @ links[1])]
     moved[-1] = moved[-1] @ other.T_flange_scanner @ se3.inverse(state.T_flange_scanner)
     for frame, motion in enumerate(moved):
-        for component, twist in enumerate(_twist(motion)):
+        for component, twist in enumerate(se3.coordinates(motion).reshape(-1, 6).mean(axis=0)):
             if twist:
                 yield ("frame", frame, component), Product(float(twist))
-
-
-def _twist(T: np.ndarray) -> np.ndarray:
-    """(6,) mm and rad, mean of small rigid motions (..., 4, 4)."""
-    each = np.concatenate([T[..., :3, 3], se3.rotation_log(T[..., :3, :3])], axis=-1)
-    return each.reshape(-1, 6).mean(axis=0)

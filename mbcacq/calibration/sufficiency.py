@@ -66,7 +66,7 @@ def refuse_unknown_arm(obs: Observations, options: CalibrationOptions) -> None:
     if options.kinematics and obs.cell.robot.of_flange_poses:
         raise CalibrationError(
             "the poses are given by the flange and not by joint angles, which leaves the arm's links undetermined; identify the hand-eye "
-            "transform alone (--hand-eye-only), or give the joint angles"
+            "transform alone (--hand-eye-only; kinematics=False in Python), or give the joint angles"
         )
 
 

@@ -17,6 +17,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell, adjusted_cell
 from mbcacq.calibration.held_out_poses import gross
 from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
 from mbcacq.calibration.parts_left_out import PartsLeftOut, TransferFigures, parts_left_out, reversed_joints
+from mbcacq.calibration.published_cell import TWIST
 from mbcacq.calibration.sufficiency import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
@@ -301,14 +302,13 @@ class _Trial:
         if self.place == "fitted":
             if self.of_flange_poses:  # the hand-eye transform is what is tried
                 learnt = replace(obs.cell, T_flange_scanner=self.cell.state.T_flange_scanner)
-                obs, options = replace(obs, cell=learnt), replace(options, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
+                obs, options = replace(obs, cell=learnt), replace(options, hold=TWIST)
             return calibrate(obs, options)
         known = self._known(obs)
-        hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
         cell = known.cell
         placed = np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations])
         start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
-        options = replace(options, hold=hold)
+        options = replace(options, hold=TWIST)
         lineariser = Lineariser(known, parameters.build(known, options), options)
         every = lineariser.everything
         at = system(lineariser, Estimate(start), self.cell.noise, every)

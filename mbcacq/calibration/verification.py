@@ -163,7 +163,10 @@ class Verification(EveryKey):
 
     def __repr__(self) -> str:
         if not self.places:
-            return "Nothing is verified: the recording has no poses that measure a certified distance."
+            return (
+                "Nothing is verified: the recording has no poses that measure a certified distance. verify_elsewhere(OTHER, cell) tries "
+                "the calibration on another recording."
+            )
         before, after = (np.abs(self.errors(which)) for which in ("before", "after"))
         worst = int(after.argmax())
         largest = measured(after[worst], K * (self.places[worst].judging_mm or 0.0), "mm")

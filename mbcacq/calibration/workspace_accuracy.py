@@ -74,7 +74,7 @@ def accuracy_map(cell: CellEstimate, obs: Observations, cell_mm: float = 250.0, 
     low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     xyz = np.tile(typical_points(obs)[:1], (postures, 1))
-    points = cell.to_base(q, xyz)
+    points = cell.placed(q, xyz)
     variance = np.sum(without_rigid_motion(cell.point_errors(q, xyz), points) ** 2, axis=(1, 2))
     place = np.floor(points / cell_mm).astype(int)
     cells, group, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
@@ -91,7 +91,7 @@ def expected_accuracy(cell: CellEstimate, obs: Observations, postures: int, seed
     low, high = cell.state.chain.drawn_between(obs.cell.robot.limits)
     drawn = np.random.default_rng(seed).uniform(low, high, size=(postures, obs.cell.robot.n))
     q, xyz = np.repeat(drawn, len(seen), axis=0), np.tile(seen, (postures, 1))
-    A = without_rigid_motion(cell.point_errors(q, xyz), cell.to_base(q, xyz))
+    A = without_rigid_motion(cell.point_errors(q, xyz), cell.placed(q, xyz))
     return float(np.sqrt(np.sum(A**2) / len(q)))
 
 

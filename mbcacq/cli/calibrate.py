@@ -90,7 +90,7 @@ def command(
         refuse=not even_if_undetermined,
         priors=learnt_priors(prior),
     )
-    split = calibrate.HeldOutOptions(held_out, held_out_size, fits, seed) if held_out else None
+    split = {"split": held_out, "size": held_out_size, "fits": fits, "seed": seed} if held_out else None
     if hold_effects and not effects:
         raise ConfigError("--hold-effects is of use with --effects DIAGNOSIS.json only")
     known = {"effects": list(effects), "hold_effects": hold_effects} if effects else {}

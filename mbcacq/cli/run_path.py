@@ -45,7 +45,7 @@ def judge_first(result: Path) -> tuple[str, str]:
     its result with effects, or a result.json."""
     run = folder_of(result)
     if run is None:
-        return "judge it by further poses", command_line("verify", result, "OTHER")
+        return "judge it by further poses, and anew after any work on the cell", command_line("verify", result, "OTHER")
     return "see first how far the result is to be trusted, and where", command_line("report", run)
 
 

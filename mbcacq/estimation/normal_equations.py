@@ -189,6 +189,5 @@ def known_placement(cell: Cell, s: int, given: np.ndarray, T: np.ndarray) -> tup
     sigma = station.sigma_mm or 0.05
     points = cell.artefact(station.artefact).centres
     columns = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points)], axis=2)
-    off = se3.inverse(given) @ T
     information = np.einsum("mri,mrj->ij", columns, columns) / sigma**2 / max(len(points) / 3, 1)
-    return information, np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
+    return information, se3.coordinates(se3.inverse(given) @ T)

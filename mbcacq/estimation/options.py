@@ -32,22 +32,44 @@ class ArmPrior:
 class CalibrationOptions:
     """How ``mbcacq.calibration.calibrate`` works.
 
-    Attributes ---------- method : str 'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage). pairs : str Which balls
-    enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the virtual point;
-    'all' pairs of all balls. phases : tuple[str, ...] or None Use only poses of these phases; None: all but 'verification', or all where
-    there is nothing else. kinematics : bool Identify MD-H errors; otherwise only hand-eye and stations. random_links : bool The errors of
-    the links of an arm that is to be identified have a common size for each kind, which is estimated; the poses then need not determine
-    each of them. Without it they are free, for comparisons between arms or days. discrepancy : bool Take lacks of the model as a random
-    effect beside the noise: the errors of the links of an arm that is not to be identified, smooth functions of posture of one that is.
-    Without it, such an arm is exactly as nominal, and all that a model lacks counts as noise. hold, release : tuple[str, ...] Names of
-    parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz'). balls : bool Estimate the ball
-    centres within the certificate's uncertainty. noise : str 'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is
-    estimated), 'given' (stated figures are exact; joint repeatability from repeatability_mm), 'estimate' (stated figures are ignored).
-    robust : bool Reject gross outliers (centres and poses). terms : tuple[Term, ...] Effects to estimate with everything else. displaced :
-    tuple[tuple[Term, ndarray], ...] Effects that are known, with their coefficients. start : CellState or None State to start from, instead
-    of a closed form. priors : tuple[ArmPrior, ...] Knowledge from other arms about this one; that of its type is used. refuse : bool Raise
-    CalibrationError where the data leave undetermined what another recording could determine; otherwise such parameters are held, and
-    named.
+    Attributes
+    ----------
+    method : str
+        'ml' (everything at once, maximum likelihood) or 'paper' (stage by stage).
+    pairs : str
+        Which balls enter the distance constraint of method 'paper': 'one' pair, as printed; all pairs of the 'four' balls that make the
+        virtual point; 'all' pairs of all balls.
+    phases : tuple[str, ...] or None
+        Use only poses of these phases; None: all but 'verification', or all if there is nothing else.
+    kinematics : bool
+        Identify MD-H errors; otherwise only hand-eye and stations (``--hand-eye-only`` of the command).
+    random_links : bool
+        The errors of the links of an arm that is to be identified have a common size for each kind, which is estimated; the poses then
+        need not determine each of them. Without it they are free, for comparisons between arms or days.
+    discrepancy : bool
+        Take lacks of the model as a random effect beside the noise: the errors of the links of an arm that is not to be identified,
+        smooth functions of posture of one that is. Without it, such an arm is exactly as nominal, and all that a model lacks counts as
+        noise.
+    hold, release : tuple[str, ...]
+        Names of parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz').
+    balls : bool
+        Estimate the ball centres within the certificate's uncertainty.
+    noise : str
+        'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is estimated), 'given' (stated figures are exact; joint
+        repeatability from repeatability_mm), 'estimate' (stated figures are ignored).
+    robust : bool
+        Reject gross outliers (centres and poses).
+    terms : tuple[Term, ...]
+        Effects to estimate with everything else.
+    displaced : tuple[tuple[Term, ndarray], ...]
+        Effects that are known, with their coefficients.
+    start : CellState or None
+        State to start from, instead of a closed form.
+    priors : tuple[ArmPrior, ...]
+        Knowledge from other arms about this one; that of its type is used.
+    refuse : bool
+        Raise CalibrationError if the data leave undetermined what another recording could determine; otherwise such parameters are
+        held, and named.
     """
 
     method: str = "ml"

@@ -11,6 +11,9 @@ from mbcacq.errors import MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.fleet.recordings import FleetRecording
 from mbcacq.fleet.row import EVALUATED, FAILED, REFUSED, FleetRow
+from mbcacq.workflow.calibrate import calibration_content, verify_elsewhere
+from mbcacq.workflow.diagnose import diagnose
+from mbcacq.workflow.load import load_observations
 
 FORMAT = "mbcacq-fleet-recording/1"
 
@@ -60,10 +63,6 @@ def evaluate_recording(recording: FleetRecording, task: FleetTask) -> tuple[Flee
 
 def _evaluated(recording: FleetRecording, task: FleetTask, row: FleetRow) -> dict[str, Any]:
     """Fills the row step by step, so that what came before a refusal is kept."""
-    from mbcacq.workflow.calibrate import calibration_content, verify_elsewhere
-    from mbcacq.workflow.diagnose import diagnose
-    from mbcacq.workflow.load import load_observations
-
     observations = load_observations(recording.path)
     row.poses, row.centres = observations.n_poses, observations.n_centres
     row.robot, row.simulated = observations.cell.robot.name, observations.cell.simulated

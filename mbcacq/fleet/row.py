@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Self
 
 import numpy as np
+import pyarrow as pa
 from pydantic import Field
 
 from mbcacq.geometry.chain import PARAMETERS
@@ -120,8 +121,6 @@ def estimates_of(rows: Sequence[FleetRow], name: str) -> tuple[np.ndarray, np.nd
 
 def arrow_schema(rows: Sequence[FleetRow]) -> Any:
     """The columns of rows with their types. Only those of parameters depend on the recordings."""
-    import pyarrow as pa
-
     kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "float": pa.float64()}
     kinds |= {"tuple[str, ...]": pa.list_(pa.string()), "tuple[Figure, ...]": pa.list_(pa.float64())}
     columns: list[tuple[str, Any]] = []

@@ -71,4 +71,4 @@ def flange_transforms(q: np.ndarray) -> np.ndarray:
 
 def flange_coordinates(T: np.ndarray) -> np.ndarray:
     """The coordinates (P, 6) mm and rad of T_base_flange (P, 4, 4)."""
-    return np.concatenate([T[:, :3, 3], se3.rotation_log(T[:, :3, :3])], axis=1)
+    return se3.coordinates(T)

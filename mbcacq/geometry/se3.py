@@ -69,6 +69,11 @@ def exp(twist: np.ndarray) -> np.ndarray:
     return transform(rotation_exp(w), np.einsum("...ij,...j->...i", left, v))
 
 
+def coordinates(T: np.ndarray) -> np.ndarray:
+    """Translation, mm, and rotation vector, rad, (..., 6) of transforms (..., 4, 4); of a small one its twist."""
+    return np.concatenate([T[..., :3, 3], rotation_log(T[..., :3, :3])], axis=-1)
+
+
 def transform(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """Rotation (..., 3, 3) and translation (..., 3) mm -> (..., 4, 4)."""
     shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])

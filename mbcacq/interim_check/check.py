@@ -137,6 +137,8 @@ class InterimCheck:
             In words, and as a command.
         """
         how, name = "--dry-run" if dry_run else "--arm", shipped.plan_name(plan)
+        if kind_of(self.run) is RunKind.COLLECTED and not self.changed:
+            return "collect the same poses again tomorrow, and judge them", command_line("check", result, name, "--from", "RUN")
         kept = () if self.file == _history_file(result, None) else ("--history", self.file)
         if self.changed:
             return "put right what changed, or calibrate anew", command_line("run", name, how)

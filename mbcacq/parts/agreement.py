@@ -184,5 +184,4 @@ def _nearest_motion(placement: CellPlacement, best: CellPlacement, q: np.ndarray
     if placement is best:
         return np.zeros(6)
     before, after = placement.to_base(q, xyz), best.to_base(q, xyz)
-    T = se3.fit_rigid_transforms(after - centre, before - centre, np.zeros(len(xyz), dtype=int), 1)[0]
-    return np.concatenate([T[:3, 3], se3.rotation_log(T[:3, :3])])
+    return se3.coordinates(se3.fit_rigid_transforms(after - centre, before - centre, np.zeros(len(xyz), dtype=int), 1)[0])

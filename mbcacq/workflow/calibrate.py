@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,28 +37,6 @@ MOVED_MM = 2.0  # rms with places known, above which it is asked whether they we
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one
 BUMPED_CHI2 = 2.0  # per degree of freedom with places known, above which it is asked; noise alone gives 1
 BUMPED_SHARE = 0.5  # of that chi2: what is left with the places fitted, where they were moved a little
-
-
-@dataclass(frozen=True)
-class HeldOutOptions:
-    """Poses to leave out of repeated fits.
-
-    Attributes
-    ----------
-    split
-        'station', 'random' or 'block'.
-    size
-        Poses of each random fit.
-    fits
-        Number of fits.
-    seed
-        Seed of the random choice.
-    """
-
-    split: str
-    size: int | None = None
-    fits: int | None = None
-    seed: int = 0
 
 
 def calibrate(
@@ -277,15 +255,15 @@ def calibration_content(
     data: Path | str,
     options: CalibrationOptions,
     *,
-    held_out: HeldOutOptions | None = None,
+    held_out: Mapping[str, Any] | None = None,
     with_map: bool = False,
     effects: Effects | None = None,
     hold_effects: bool = False,
     observations: Observations | None = None,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. observations: where they have been read from ``data`` already. A plan without the phase 'position' is calibrated for
-    what its run calibrates (``options_for``).
+    where asked for. held_out: arguments of ``cross_validation.held_out``. observations: where they have been read from ``data`` already. A
+    plan without the phase 'position' is calibrated for what its run calibrates (``options_for``).
 
     Raises CalibrationError, ConfigError.
     """
@@ -303,8 +281,7 @@ def calibration_content(
     if with_map:
         content["accuracy_map"] = accuracy_map(cell, cell.fit.observations).to_dict()
     if held_out is not None:
-        split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
-        content["held_out"] = split.to_dict()
+        content["held_out"] = cross_validate(observations, options, **held_out).to_dict()
     return content
 
 

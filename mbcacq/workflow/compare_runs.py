@@ -78,7 +78,7 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
     listed = [{p["name"]: p for p in result["parameters"]} for result in (first, second)]
     own = [without_prior(result) for result in (first, second)]
     T = se3.inverse(own[0].T_flange_scanner) @ own[1].T_flange_scanner
-    moved = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*T[:3, 3], *se3.rotation_log(T[:3, :3])), strict=True))
+    moved = dict(zip(("x", "y", "z", "rx", "ry", "rz"), se3.coordinates(T), strict=True))
     rows: list[Change] = []
     common: list[tuple[str, float]] = []
     for name, one in listed[0].items():

@@ -134,7 +134,7 @@ def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
     """Raises ConfigError for a simulated calibration, unless ``simulated_anyway``, and for an arm that was not calibrated."""
     if arm.simulated and not simulated_anyway:
         raise ConfigError(
-            "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
+            "this calibration is simulated, and a real arm would be corrected or judged by it; "
             "give that of a real arm (or --simulated-anyway for a program, --dry-run for a check)"
         )
     if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:

@@ -116,7 +116,8 @@ class HandEyeSession:
         self._picture = self._drawn(grey, found)
         if found is None:
             self.missing.append(BoardImage(name=name, reason="the board was not found"))
-            return f"view {number}: the board was not found; show all of it, sharp and evenly lit"
+            counted = f"{self.board.columns}x{self.board.rows}{' inner corners' if self.board.kind == 'chessboard' else ''}"
+            return f"view {number}: the board was not found; show all of it, sharp and evenly lit, or correct --size {counted}"
         write_file(self.folder / "images" / name, opencv().imencode(".png", grey)[1].tobytes(), folder=self.folder)
         self.take(BoardView(name, *found), pose)
         write_file(self.folder / "poses.csv", self._csv())

@@ -124,7 +124,7 @@ def test_stop_halts_and_ends_the_wait():
 def test_the_wrong_device_silence_and_absence_are_different_errors(scripted):
     with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
         with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
-            driver(line).connect()
+            driver(line, timeout_s=3.0).connect()
     with pytest.raises(ConnectError, match="cannot be opened"):
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
     with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):

@@ -33,7 +33,7 @@ def test_independent_simulation_is_explained_down_to_its_noise():
     # Base and stations may move together (theta_1, d_1): compare how points lie to each other, over the poses measured.
     xyz = np.tile([5.0, -3.0, 2.0], (obs.n_poses, 1))
     there = se3.apply(chain.flange(obs.q) @ np.array(truth["hand_eye"]), xyz)
-    here = found.to_base(obs.q, xyz)
+    here = found.placed(obs.q, xyz)
     centred = there - there.mean(0), here - here.mean(0)
     R = se3.nearest_rotation(centred[0].T @ centred[1])
     off = centred[1] @ R.T - centred[0]

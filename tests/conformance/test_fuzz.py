@@ -76,7 +76,7 @@ HEAD = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty flo
     ("data", "words"),
     [
         (b"ply\nformat ascii 1.0\ncomment", "is no PLY file"),  # the library's reader ends the program here
-        (b"", "is no PLY file"),
+        (b"", "is empty; save it anew"),
         (b"plyx\nend_header\n", "is no PLY file"),
         (HEAD.replace(b"2\n", b"2000000000\n") + b"0 0 0\n", "is cut off: its header announces at least 12000000000 bytes"),
         (HEAD.replace(b"property float z\n", b""), "holds no points"),

@@ -175,7 +175,7 @@ def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_pat
 
 def test_what_fails_for_no_fault_of_its_own_is_tried_again(folder, tmp_path, monkeypatch):
     (one, *_) = find_recordings([folder])
-    monkeypatch.setattr("mbcacq.workflow.load.load_observations", lambda path: (_ for _ in ()).throw(MemoryError("full")))
+    monkeypatch.setattr("mbcacq.fleet.evaluation.load_observations", lambda path: (_ for _ in ()).throw(MemoryError("full")))
     row, content = evaluate_recording(one, FleetTask())
     assert row.status == "failed"
     assert "MemoryError" in row.reason

@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,12 @@ def test_a_calibration_survives_pickling(cell, data):
     copy = pickle.loads(pickle.dumps(cell))
     np.testing.assert_array_equal(copy.covariance, cell.covariance)
     assert copy.to_dict() == cell.to_dict()
+
+
+def test_points_of_an_instrument_in_the_base_are_not_placed_by_joint_angles(cell, data):
+    fixed = replace(cell, own_fit=None, extra={**cell.to_dict(), "measurement": "target_in_base"})
+    with pytest.raises(ConfigError, match="the instrument stands in the base"):
+        fixed.to_base(data.q[data.pose], data.xyz)
 
 
 @pytest.mark.parametrize("by", ["text", "file", "folder"])

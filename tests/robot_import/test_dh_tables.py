@@ -104,6 +104,16 @@ def test_columns_that_are_not_known_are_said(read):
     assert "columns not used: motor" in remarks
 
 
+def test_a_mass_without_its_centre_is_said(read):
+    _, remarks = read(
+        PLAIN.replace("alpha_deg\n", "alpha_deg,mass_kg\n")
+        .replace("-90\n", "-90,9\n")
+        .replace(",0\n", ",0,0\n")
+        .replace(",90\n", ",90,0\n")
+    )
+    assert any(remark.startswith("the mass of rows ") and "1" in remark for remark in remarks)
+
+
 def test_a_calibrated_table_is_not_taken_for_radians(read):
     """Its angles differ from whole quarters of a turn by thousandths of a degree, small ones are small."""
     rows, _ = read(PLAIN.replace("-90\n", "-90.0131\n").replace("0,0,560,0", "0.0312,0,560.21,0.0093"))

@@ -36,7 +36,6 @@ class Bodies:
         self.model = self._engine.MjModel.from_xml_string(_xml(sign, rows, mass, com, payload, gravity))
         self.data = self._engine.MjData(self.model)
         self._full = np.zeros((self.n, self.n))
-        self._bias = np.zeros(self.n)
 
     def at(self, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mass matrix (n, n) and torque (n,) that gravity, centrifugal and Coriolis forces ask of the drives. The arrays are reused."""

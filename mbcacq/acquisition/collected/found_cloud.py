@@ -20,7 +20,7 @@ _POSE_IN_NAME = re.compile(r"pose[ _-]?(\d+)(?:\D+(\d+))?", re.IGNORECASE)
 @dataclass(frozen=True)
 class FoundCloud:
     """path; number: the last one in its name, or None; named_pose, named_exposure: where the name says them ('pose_012_1'); written_s: when
-    the file was written, s. digest: of its bytes. ball (k,) ids and xyz (k, 3) mm in the scanner frame. extent_mm: of its points.
+    the file was written, s. digest: of its bytes. ball (k,) ids and xyz (k, 3) mm in the scanner frame.
     fault: why it cannot be used, or ''."""
 
     path: Path
@@ -31,7 +31,6 @@ class FoundCloud:
     digest: str = ""
     ball: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     xyz: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    extent_mm: float = 0.0
     fault: str = ""
 
     @property
@@ -61,7 +60,6 @@ def look_at(
         points = read(path)
     except MbcacqError as error:
         return FoundCloud(**about, fault=str(error))
-    extent = float(np.max(np.ptp(points, axis=0)))
     best, why = None, ""
     for artefact in artefacts:
         try:
@@ -73,4 +71,4 @@ def look_at(
             best = found
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     ball, xyz = (np.zeros(0, dtype=int), np.zeros((0, 3))) if best is None else (best.ball, best.xyz)  # type: ignore[attr-defined]
-    return FoundCloud(**about, digest=digest, ball=ball, xyz=xyz, extent_mm=extent, fault="" if best is not None else f"{path.name}: {why}")
+    return FoundCloud(**about, digest=digest, ball=ball, xyz=xyz, fault="" if best is not None else f"{path.name}: {why}")

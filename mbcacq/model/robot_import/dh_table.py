@@ -68,10 +68,12 @@ def read_dh_table(path: Path, convention: str) -> ArmSource:
     if (silent := slides & np.isnan(lower + upper)).any():
         row = int(np.argmax(silent))
         raise ConfigError(f"{table.path}: row {row + 1} slides and has no lower_mm and upper_mm; give both")
-    com = np.nan_to_num(np.stack([_optional(table, f"com_{c}") for c in "xyz"], axis=1))
+    com = np.stack([_optional(table, f"com_{c}") for c in "xyz"], axis=1)
     names = table.text("joint") if table.has("joint") else ("",) * len(table)
     behind = _links(convention, axes[0], flange[0])
     remarks = [f"columns not used: {', '.join(table.unused)}"] if table.unused else []
+    if bare := [str(i + 1) for i in np.flatnonzero((mass > 0) & np.isnan(com).any(axis=1))]:
+        remarks.append(f"the mass of rows {', '.join(bare)} is put at the link's own frame, for want of com_x_mm, com_y_mm, com_z_mm")
     remarks += ["joint angles are counted from the table's theta: the angles a controller shows must be those of the table's q"]
     return ArmSource(
         name=path.stem,
@@ -84,7 +86,7 @@ def read_dh_table(path: Path, convention: str) -> ArmSource:
         limits=np.stack([lower, upper], axis=1),
         speed=speed,
         mass=np.nan_to_num(mass),
-        com=se3.apply(behind, com),
+        com=se3.apply(behind, np.nan_to_num(com)),
         forward=forward,
         remarks=remarks,
         sliding=tuple(np.flatnonzero(slides).tolist()),
