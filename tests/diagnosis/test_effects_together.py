@@ -19,7 +19,7 @@ def entering(obs):
     blocks = UnmodelledEffects(problem.design_blocks)
     search = PoseSearch(
         candidates=problem.candidates,
-        prior=SetPrior.of(problem.candidates, blocks.locations),
+        prior=SetPrior.of(problem.candidates, len(blocks.design_blocks.locations)),
         unmodelled=blocks,
         context=problem.context,
         staged=True,

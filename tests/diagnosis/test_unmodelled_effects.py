@@ -207,7 +207,7 @@ def test_a_process_is_tried_where_its_functions_can_stand_for_it():
 def search_of(setup):
     """The search of a recording, its blocks, and the point at which it begins."""
     blocks = UnmodelledEffects(setup.design_blocks)
-    prior = SetPrior.of(setup.candidates, blocks.locations)
+    prior = SetPrior.of(setup.candidates, len(blocks.design_blocks.locations))
     search = PoseSearch(candidates=setup.candidates, unmodelled=blocks, prior=prior, context=setup.context)
     return search, blocks, NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
 

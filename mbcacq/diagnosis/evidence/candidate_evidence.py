@@ -29,6 +29,9 @@ def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[Scored]:
     """Scores of the candidates whose hyper-parameter has few values, all in one product."""
+    chosen = [c for c in candidates if not c.components]
+    if not chosen:
+        return []
     fixed, X, blocks = projected.batch(candidates)
     logs = np.zeros(len(fixed.entries))
     absorbed = (projected.conditioned.T @ X).T
@@ -41,9 +44,8 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
         for positive, least in set(kinds):
             mine = np.array([kind == (positive, least) for kind in kinds])
             logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], np.array(possible_sizes(least)), positive)
-    chosen = [c for c in candidates if not c.components]
     ends = np.cumsum([1 if c.hyper is None else len(c.hyper.values) for c in chosen])
-    return [averaged(c, each) for c, each in zip(chosen, np.split(logs, ends[:-1]), strict=True)] if chosen else []
+    return [averaged(c, each) for c, each in zip(chosen, np.split(logs, ends[:-1]), strict=True)]
 
 
 def evidence_of_one(projected: CandidateScoring, candidate: Candidate, hyper: float | None = None) -> Scored:
