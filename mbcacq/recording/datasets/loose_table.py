@@ -123,7 +123,7 @@ def understood(table: Table, options: TableOptions) -> UnderstoodTable:
     scored = sorted(((_misfit(obs), i) for i, (_, obs) in enumerate(made)), key=lambda pair: pair)
     (best, i), *others = scored
     reading, obs = made[i]
-    if not np.isfinite(best) and others:
+    if not np.isfinite(best):
         raise ConfigError(
             f"{table.path}: no reading of the columns fits the poses; check that flange and target belong together, row by row"
         )
