@@ -20,7 +20,7 @@ from mbcacq_gocator.request_connection import RequestConnection
 
 _RECEIVE_BUFFER = 4 * 2**20
 _POLL_S = 0.05
-_QUIET = 8  # polls without a data set, after which a stopped sensor has sent all; a busy computer polls more slowly
+_QUIET = 12  # polls without a data set, after which a stopped sensor has sent all; a busy computer polls more slowly
 C = TypeVar("C", bound=RequestConnection)
 
 
